@@ -24,8 +24,8 @@ def plots(folder: Path | None, names: Sequence[str], *, force: bool) -> Iterator
     for name in names:
         if not force:
             refuse_existing(folder / name)
-    is_new = not folder.exists()
     with disk_errors(folder):
+        is_new = not folder.exists()
         folder.mkdir(parents=True, exist_ok=True)
     try:
         yield lambda drawn: _write(folder, drawn(), force=force)

@@ -177,7 +177,7 @@ def test_openssl_and_sha512sum_verify_a_signed_report(pqsec, keystore, tmp_path)
 
 
 @pytest.mark.interop
-@pytest.mark.skipif(not CHROMIUM, reason="chromium is not installed: apt-get install chromium")
+@pytest.mark.skipif(not CHROMIUM, reason="in .ci/long: chromium is not installed here")
 def test_chromium_runs_the_page_under_its_policy(pqsec, keystore, tmp_path):
     keystore("transition")
     pqsec("-k k report -o page.html").done()

@@ -194,7 +194,7 @@ def test_a_host_whose_agent_is_killed_goes_on_and_meets_nobody(stage, labs):
             time.sleep(REFUSAL)
             assert receiver.poll() is None
             receiver.kill()
-            said += receiver.communicate()[0]
+            said += receiver.stdout.read()
     assert "received" not in said
 
 
