@@ -23,6 +23,7 @@ from pqsec_pki._asn1 import (
     EncryptedPrivateKeyInfo,
     Extension,
     IssuerAndSerialNumber,
+    KeyReference,
     Oid,
     OneAsymmetricKey,
     PBES2Params,
@@ -188,6 +189,9 @@ VALUES = {
     ),
     "ECPrivateKey": ECPrivateKey(
         version=1, private_key=bytes(32), parameters=Oid("1.2.840.10045.3.1.7"), public_key=None
+    ),
+    "KeyReference": KeyReference(
+        description=raw(b"\x1a\x19PKCS#11 Provider URI v1.0"), uri="pkcs11:token=t;object=o"
     ),
     "SeedAndExpandedKey": SeedAndExpandedKey(seed=bytes(32), expanded_key=b"expanded"),
     "PBKDF2Params": DERIVATION,
