@@ -4,8 +4,9 @@
  *        peer host DOMAIN TOPIC TEXT SECONDS          see cyclonedds_host.h
  *
  * Its configuration is the one that CYCLONEDDS_URI names. On stdout it says how far it came, a
- * line each: joined, matched, received TEXT, or refused WHAT: REASON. The stack's own messages go
- * where the configuration says. It ends when it has received, or after SECONDS.
+ * line each: joined, created (its writer or reader), matched, received TEXT, or
+ * refused WHAT: REASON. The stack's own messages go where the configuration says. It ends when it
+ * has received, or after SECONDS.
  */
 #include <signal.h>
 #include <stdio.h>
@@ -34,6 +35,7 @@ static dds_entity_t made(dds_entity_t entity, const char *what) {
 static void send_until(dds_entity_t writer, char *text, dds_time_t end) {
   pqsec_Sample sample = {text};
   int matched = 0;
+  say("created", "");
   while (dds_time() < end) {
     dds_publication_matched_status_t status;
     dds_get_publication_matched_status(writer, &status);
@@ -47,6 +49,7 @@ static void send_until(dds_entity_t writer, char *text, dds_time_t end) {
 }
 
 static void receive_until(dds_entity_t reader, dds_time_t end) {
+  say("created", "");
   while (dds_time() < end) {
     void *samples[1] = {NULL};
     dds_sample_info_t info[1];

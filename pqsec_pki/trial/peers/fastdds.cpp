@@ -127,6 +127,7 @@ Entity* made(Entity* entity, const char* what) {
 }
 
 void send_until(DataWriter* writer, std::string text, Clock::time_point over) {
+  say("created");
   for (bool matched = false; Clock::now() < over; usleep(50000)) {
     PublicationMatchedStatus status;
     writer->get_publication_matched_status(status);
@@ -139,6 +140,7 @@ void send_until(DataWriter* writer, std::string text, Clock::time_point over) {
 }
 
 void receive_until(DataReader* reader, Clock::time_point over) {
+  say("created");
   std::string text;
   for (SampleInfo info; Clock::now() < over; usleep(50000)) {
     if (reader->take_next_sample(&text, &info) == 0 && info.valid_data) {

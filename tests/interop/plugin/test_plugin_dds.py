@@ -186,7 +186,7 @@ def wait_for(process, word: str) -> None:
 def test_a_host_whose_agent_is_killed_goes_on_and_meets_nobody(stage, labs):
     lab = labs("pq")
     with running(stage, stage.receiver(lab.bob), seconds=PATIENCE) as receiver:
-        wait_for(receiver, "joined")
+        wait_for(receiver, "created")
         stage.shim.kill_agent()
         with running(stage, stage.sender(lab.alice), seconds=PATIENCE) as sender:
             wait_for(sender, "joined")  # with a new agent
