@@ -69,6 +69,19 @@ class KeyAgreement(ABC):
         """The agreements that it combines; none if it is not a hybrid."""
         return ()
 
+    def to_json(self) -> dict[str, object]:
+        """Its names and sizes, for JSON."""
+        return {
+            "name": self.name,
+            "aliases": self.aliases,
+            "family": self.family,
+            "level": self.level,
+            "dh1_bytes": self.public_size,
+            "dh2_bytes": self.ciphertext_size,
+            "standard": self.standard,
+            "runs_in": self.runs_in,
+        }
+
     def generate(self) -> KeyPair:
         """A new key pair."""
         return self.key_pair(self._generate())

@@ -75,6 +75,19 @@ class SignatureAlgorithm(ABC):
         """The algorithms that it combines; none if it is not a combination."""
         return ()
 
+    def to_json(self) -> dict[str, object]:
+        """Its names and sizes, for JSON."""
+        return {
+            "name": self.name,
+            "aliases": self.aliases,
+            "family": self.family,
+            "level": self.level,
+            "public_key_bytes": self.public_key_size,
+            "signature_bytes": self.signature_size,
+            "standard": self.standard,
+            "identities_run_in": self.runs_in,
+        }
+
     def generate(self) -> "PrivateKey":
         """A new key."""
         return self.private_key(self.generate_handle())

@@ -43,6 +43,7 @@ class AlgorithmRow(Protocol):
     def aliases(self) -> tuple[str, ...]: ...
     @property
     def wire_name(self) -> str: ...
+    def to_json(self) -> dict[str, object]: ...
 
 
 RowT = TypeVar("RowT", bound=AlgorithmRow)
@@ -81,6 +82,17 @@ class AlgorithmTable(Generic[RowT]):
         """All rows: also the experimental ones, and those of other packages that are loaded."""
         yield from (*self._rows, *self.experimental)
         yield from (row for row, _ in self.added.values())
+
+    def to_json(self) -> list[dict[str, object]]:
+        """Each row of `every`, whether it is experimental, and its package if not pqsec."""
+        return [
+            row.to_json()
+            | {
+                "experimental": row in self.experimental,
+                "package": self.added[row.name][1] if row.name in self.added else None,
+            }
+            for row in self.every()
+        ]
 
     def __len__(self) -> int:
         return len(self._rows)

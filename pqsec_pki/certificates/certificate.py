@@ -200,6 +200,17 @@ class Certificate:
         """SHA-256 of the DER, in hex."""
         return hashlib.sha256(self.der).hexdigest()
 
+    def to_json(self) -> dict[str, object]:
+        """Its name, algorithms, end and fingerprint, for JSON."""
+        second = self.alternative_key
+        return {
+            "subject": self.subject_name,
+            "algorithm": self.public_key.algorithm.name,
+            "alternative": second.algorithm.name if second else None,
+            "not_after": self.not_after,
+            "sha256": self.fingerprint,
+        }
+
     def signed(self, other: "Certificate") -> bool:
         """Whether the subject's key made the signature on `other` (RFC 5280 6.1.3 (a)(1))."""
         try:

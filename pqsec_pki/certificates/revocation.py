@@ -93,6 +93,14 @@ class RevocationList:
         """The revocation list in PEM."""
         return pem("X509 CRL", self.der)
 
+    def to_json(self) -> dict[str, object]:
+        """Its number, the count of its certificates and when the next is due, for JSON."""
+        return {
+            "number": self.number,
+            "certificates": len(self.revoked),
+            "next_update": self.next_update,
+        }
+
     def revocation_of(self, certificate: Certificate) -> RevokedCertificate | None:
         """The entry that revokes `certificate`, if this is its issuer's list and has one."""
         if certificate.issuer_der != self.issuer_der:

@@ -7,9 +7,7 @@ from pqsec_pki.algorithms import (
     KEY_AGREEMENTS,
     PROFILES,
     SIGNATURES,
-    KeyAgreement,
     Profile,
-    SignatureAlgorithm,
 )
 from pqsec_pki.cli import _help, _printing, _settings
 
@@ -64,8 +62,7 @@ def algorithms() -> None:
     errors = (*SIGNATURES.load_foreign(), *KEY_AGREEMENTS.load_foreign())
     for error in dict.fromkeys(map(str, errors)):
         _printing.note(error)
-    signatures = [_signature(row) for row in SIGNATURES.every()]
-    agreements = [_agreement(row) for row in KEY_AGREEMENTS.every()]
+    signatures, agreements = SIGNATURES.to_json(), KEY_AGREEMENTS.to_json()
     _printing.emit(
         {"signatures": signatures, "key_agreements": agreements},
         [
@@ -80,36 +77,6 @@ def algorithms() -> None:
             ),
         ],
     )
-
-
-def _signature(row: SignatureAlgorithm) -> dict[str, object]:
-    return _named(row) | {
-        "public_key_bytes": row.public_key_size,
-        "signature_bytes": row.signature_size,
-        "standard": row.standard,
-        "identities_run_in": row.runs_in,
-    }
-
-
-def _agreement(row: KeyAgreement) -> dict[str, object]:
-    return _named(row) | {
-        "dh1_bytes": row.public_size,
-        "dh2_bytes": row.ciphertext_size,
-        "standard": row.standard,
-        "runs_in": row.runs_in,
-    }
-
-
-def _named(row: SignatureAlgorithm | KeyAgreement) -> dict[str, object]:
-    added = SIGNATURES.added.get(row.name) or KEY_AGREEMENTS.added.get(row.name)
-    return {
-        "name": row.name,
-        "aliases": list(row.aliases),
-        "family": row.family.value,
-        "level": row.level,
-        "experimental": row in SIGNATURES.experimental or row in KEY_AGREEMENTS.experimental,
-        "package": added[1] if added else None,
-    }
 
 
 def _cells(row: Mapping[str, object], *sizes: str) -> tuple[str, ...]:

@@ -10,7 +10,7 @@ from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_nam
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
 from pqsec_pki.cli.passphrase import passphrase
-from pqsec_pki.cli.revoke import list_line, list_validity_option, list_value
+from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
@@ -221,7 +221,8 @@ def crl(
     if out:
         with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):
             write(out, found.pem, force=force)
-    _printing.emit(list_value(keystore, found), [list_line(keystore, found)])
+    value = {"list": keystore.revocation_list_path, **found.to_json()}
+    _printing.emit(value, [list_line(keystore, found)])
 
 
 @ca.command(
@@ -271,7 +272,7 @@ def _show(keystore: Keystore) -> None:
         "domains": str(keystore.domains),
         "keys": _keys(keystore),
         "key_uris": uris,
-        "cas": [{"role": role, **_certificate(each)} for role, each in cas],
+        "cas": [{"role": role, **each.to_json()} for role, each in cas],
         "participants": names,
     }
     lines = [f"keystore       {keystore.root} ({_described(keystore.profile)})"]
@@ -308,17 +309,6 @@ def _uris(keystore: Keystore) -> dict[str, str]:
 
 def _described(profile: Profile) -> str:
     return f"profile {profile.name}: {profile.summary}"
-
-
-def _certificate(certificate: Certificate) -> dict[str, object]:
-    second = certificate.alternative_key
-    return {
-        "subject": certificate.subject_name,
-        "algorithm": certificate.public_key.algorithm.name,
-        "alternative": second.algorithm.name if second else None,
-        "not_after": certificate.not_after,
-        "sha256": certificate.fingerprint,
-    }
 
 
 def _algorithms(certificate: Certificate) -> str:

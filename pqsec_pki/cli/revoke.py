@@ -94,7 +94,7 @@ def revoke(
             "certificates of an earlier CA are not in a list: participants that still trust that CA"
             " accept them; copy the files of the current CA to every robot"
         )
-    value = {"revoked": revoked, **list_value(keystore, made)}
+    value = {"revoked": revoked, "list": keystore.revocation_list_path, **made.to_json()}
     _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
 
 
@@ -113,16 +113,6 @@ def _ask(certificates: list[Entry]) -> None:
         what=f"{count} of {names} would be revoked",
         hint="--yes revokes; `pqsec status` with the same names shows them",
     )
-
-
-def list_value(keystore: Keystore, made: RevocationList) -> dict[str, object]:
-    """The list, for --json."""
-    return {
-        "list": keystore.revocation_list_path,
-        "number": made.number,
-        "certificates": len(made.revoked),
-        "next_update": made.next_update,
-    }
 
 
 def list_line(keystore: Keystore, made: RevocationList) -> str:

@@ -17,7 +17,7 @@ from pqsec_pki.credentials import (
 from pqsec_pki.documents import validate
 from pqsec_pki.errors import PqsecError, VerificationError, located
 from pqsec_pki.report import refuse_changed, signature_path
-from pqsec_pki.smime import Require, Verified
+from pqsec_pki.smime import FoundSignature, Require, Verified
 
 
 @_help.command(
@@ -139,20 +139,8 @@ def _kind(document: bytes) -> str | None:
 def _print_signatures(
     file: Path, verified: Verified, anchors: TrustAnchors, *, is_report: bool
 ) -> None:
-    found = [
-        {
-            "algorithm": each.algorithm.name,
-            "family": each.algorithm.family.value,
-            "countersignature": each.countersignature,
-            "signed_at": each.signed_at.isoformat() if each.signed_at else None,
-        }
-        for each in verified.signatures
-    ]
     lines = [f"{file}: signed by {anchors.permissions_ca.subject_name}"]
-    for each in found:
-        kind = "countersignature" if each["countersignature"] else "signature"
-        when = f", {each['signed_at']}" if each["signed_at"] else ""
-        lines.append(f"  good {kind}: {each['algorithm']} ({each['family']}){when}")
+    lines += map(_line, verified.signatures)
     countersigned = any(each.countersignature for each in verified.signatures)
     if anchors.countersigner and not countersigned:
         _printing.note("there is no countersignature: it was never made, or it was removed")
@@ -164,5 +152,13 @@ def _print_signatures(
         "kind": "report" if is_report else _kind(verified.document),
         "signer": anchors.permissions_ca.subject_name,
         "countersigned": countersigned,
+        "signatures": verified.signatures,
+        "unchecked": verified.unchecked,
     }
-    _printing.emit(value | {"signatures": found, "unchecked": verified.unchecked}, lines)
+    _printing.emit(value, lines)
+
+
+def _line(found: FoundSignature) -> str:
+    kind = "countersignature" if found.countersignature else "signature"
+    when = f", {found.signed_at.isoformat()}" if found.signed_at else ""
+    return f"  good {kind}: {found.algorithm.name} ({found.algorithm.family.value}){when}"

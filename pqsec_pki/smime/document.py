@@ -48,6 +48,15 @@ class FoundSignature:
     countersignature: bool
     signed_at: datetime | None
 
+    def to_json(self) -> dict[str, object]:
+        """Its values, for JSON."""
+        return {
+            "algorithm": self.algorithm.name,
+            "family": self.algorithm.family.value,
+            "countersignature": self.countersignature,
+            "signed_at": self.signed_at,
+        }
+
 
 @dataclass(frozen=True, slots=True)
 class Verified:
