@@ -21,6 +21,9 @@ from statistics import median
 from pqsec_pki.benchmark import meshes_drawn, suites_drawn
 
 LEVEL = 0.95
+MANY = 3
+"""Fewer values are listed, without an interval."""
+STACKS = {"cyclonedds": "Cyclone DDS", "fastdds": "Fast DDS"}
 
 
 def coverage(n, k):
@@ -40,6 +43,8 @@ def told(values, missing=0):
     if not values:
         return "none" if missing else ""
     values = [*values, *[float("inf")] * missing]
+    if len(values) < MANY:
+        return ", ".join(map(number, values))
     low, high, share = interval(values)
     middle = median(values)
     text = f"{number(middle)} [{number(low)}, {number(high)}]"
@@ -47,7 +52,9 @@ def told(values, missing=0):
 
 
 def number(value):
-    return "-" if value == float("inf") else f"{value:.3g}"
+    if value == float("inf"):
+        return "-"
+    return f"{float(f'{value:.3g}'):g}"
 
 
 def read(folder, part):
@@ -123,7 +130,7 @@ def of_costs(cases):
         if (hosts, loss, mtu) == (2, 0.0, 1500):
             lines.append(
                 [
-                    stack,
+                    STACKS[stack],
                     name(kind),
                     number(median(each["datagrams"] for each in runs)),
                     number(median(each["frame_bytes"] for each in runs) / 1000),
@@ -152,7 +159,7 @@ def of_hosts(cases):
         ]
         lines.append(
             [
-                *(stack, name(kind), str(hosts), f"{loss:.0%}", seconds(runs)),
+                *(STACKS[stack], name(kind), str(hosts), f"{loss:.0%}", seconds(runs)),
                 " ".join(f"{each['complete']:.0f}/{hosts}" for each in runs),
                 number(median(each["hosts_cpu_s"] + each["agent_cpu_s"] for each in runs)),
                 number(median(each["datagrams"] for each in runs)),
@@ -180,27 +187,41 @@ def of_suites(suites):
     )
 
 
-def summarize(folder):
-    """The lines of all tables; plots are written into the folder."""
-    suites = folder / "suites.json.gz"
-    if suites.exists():
-        with gzip.open(suites, "rt") as file:
-            found = json.load(file)["suites"]
+def tables(folder):
+    """The lines of all tables, in Markdown."""
+    if found := measured_suites(folder):
         yield from ["## Suites in memory", "", *of_suites(found)]
-        draw(folder, "", suites_drawn(found))
-    rows, pairs = read(folder, "pairs")
+    _, pairs = read(folder, "pairs")
     for stack, mtu in sorted({(case[0], case[4]) for case in pairs}):
-        yield from [f"## Two hosts, {stack}, MTU {mtu}", "", *of_losses(pairs, stack, mtu)]
+        yield from [f"## Two hosts, {STACKS[stack]}, MTU {mtu}", "", *of_losses(pairs, stack, mtu)]
     if pairs:
         yield from ["## Costs of two hosts", "", *of_costs(pairs)]
-        draw(folder, "pairs-", meshes_drawn(rows))
-    rows, many = read(folder, "hosts")
+    _, many = read(folder, "hosts")
     if many:
         yield from ["## Many hosts", "", *of_hosts(many)]
-        draw(folder, "hosts-", meshes_drawn(rows))
     loads = [each["load"] for runs in (*pairs.values(), *many.values()) for each in runs]
     if loads:
         yield f"Load before the runs: median {number(median(loads))}, at most {number(max(loads))}."
+
+
+def measured_suites(folder):
+    """The suites in memory, as `pqsec bench --json` has them."""
+    path = folder / "suites.json.gz"
+    if not path.exists():
+        return []
+    with gzip.open(path, "rt") as file:
+        return json.load(file)["suites"]
+
+
+def summarize(folder):
+    """The lines of all tables; plots are written into the folder."""
+    if found := measured_suites(folder):
+        draw(folder, "", suites_drawn(found))
+    for part in ("pairs", "hosts"):
+        rows, cases = read(folder, part)
+        if cases:
+            draw(folder, f"{part}-", meshes_drawn(rows))
+    return tables(folder)
 
 
 def main():

@@ -13,10 +13,11 @@ if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
 from docs.site import generated  # noqa: E402 -- after the path
+from examples.study.summary import tables  # noqa: E402
 from pqsec_pki.attacks import ATTACKS, Attack  # noqa: E402
 from pqsec_pki.attacks.attack import CERTIFICATE, DOCUMENT  # noqa: E402
 from pqsec_pki.problems import Code  # noqa: E402
-from tests.docs import decisions, wire_tables, yaml_keys  # noqa: E402
+from tests.docs import decisions, rules_page, wire_sizes, wire_tables, yaml_keys  # noqa: E402
 from tests.docs.rows import table  # noqa: E402
 
 FOLDER = ROOT / "docs/reference"
@@ -29,9 +30,16 @@ def pages() -> dict[str, str]:
         "all-commands.md": _commands(),
         "attack-list.md": _attacks(),
         "decisions.md": _page("tests/docs/decisions.py", *decisions.parts()),
+        "study-tables.md": _page("`examples/study/results`", *_study()),
         "wire-tables.md": _page("the tables of algorithms and limits", *wire_tables.parts()),
         "yaml-keys.md": _page("the JSON Schemas in `schemas/`", *yaml_keys.parts()),
     }
+
+
+def generated_pages() -> set[Path]:
+    """All generated pages of docs/reference, also those of the other scripts."""
+    measured = FOLDER / "measured.md"  # tests/interop/test_trials.py
+    return {FOLDER / name for name in pages()} | {rules_page.PAGE, wire_sizes.PAGE, measured}
 
 
 def _page(source: str, title: str, *parts: str) -> str:
@@ -57,6 +65,18 @@ def _attacks() -> str:
     return _page(
         "the rows of attacks", "# List of attacks", about, table(heads, map(_row, ATTACKS))
     )
+
+
+def _study() -> tuple[str, ...]:
+    """What was measured for the study."""
+    about = (
+        "Every result of [the study](../explanation/study.md), which says how it was measured and"
+        "\nwhat it shows. Times of two and of many hosts are seconds until all hosts have met: the"
+        "\nmedian of the runs, with its 95 % confidence interval; of one or two runs, their values."
+        "\n`-` is a run that had not ended after 60 s, and `none` that no run had."
+    )
+    lines = "\n".join(tables(ROOT / "examples/study/results")).strip()
+    return ("# Study: tables", about, lines)
 
 
 def _row(attack: Attack) -> tuple[str, ...]:

@@ -8,8 +8,8 @@ from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._pair import SignaturePair
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
-from pqsec_pki.handshake import compact
-from pqsec_pki.handshake._secured import MAX_RECEIVERS
+from pqsec_pki.handshake import KeyMaterial, TransformationKind, compact
+from pqsec_pki.handshake._secured import MAX_RECEIVERS, Secure
 from pqsec_pki.handshake.protection import MAX_PAYLOAD, MAX_SUBMESSAGE
 from pqsec_pki.handshake.wire import MAX_PROPERTIES, MAX_SAMPLE, MAX_TOKEN, MAX_TOKENS
 from pqsec_pki.smime.document import MAX_CARRIED, MAX_CARRIED_VALUES
@@ -60,6 +60,11 @@ def parts() -> Iterator[str]:
     yield from ("## Composites", _COMPOSITES, table(heads, map(_composite, composites)))
     heads = ("Plain key", "Alternative key", "`c.dsign_algo`", "Alternative's, octets")
     yield from ("## Pairs", _PAIRS, table((*heads, "Whole signature, octets"), map(_pair, PAIRS)))
+    heads = ("Kind", "Name", "Key and salt, octets", "Content", "Key material, octets")
+    kinds = table((*heads, "With receiver key"), map(_kind, TransformationKind))
+    yield from ("## Kinds of protection", _KINDS, kinds)
+    submessages = ((f"SEC_{each.name}", f"`{each.value:02x}`") for each in Secure)
+    yield from ("## Secure submessages", _SECURE, table(("Submessage", "Kind"), submessages))
     dictionary = compact.CREDENTIALS_DICTIONARY.decode()
     yield from ("## The dictionary", _DICTIONARY, f"```xml\n{dictionary}```")
     limits = ((name, str(value)) for name, value in LIMITS.items())
@@ -70,6 +75,8 @@ _SIGNATURES = "Section 6.1. Composites and pairs are below; pairs have the plain
 _AGREEMENTS = "Section 6.2 says how each value is encoded, and 8.3 how SharedSecret is computed."
 _COMPOSITES = "Section 7.2. `*.algo` is the same name."
 _PAIRS = "Section 7.3: a certificate with an alternative key."
+_KINDS = "Section 12.2, the transformation_kind of key material."
+_SECURE = "Section 12.4."
 _DICTIONARY = (
     "Section 5.1. The preset dictionary of DEFLATE is this text; it ends with a line feed."
 )
@@ -123,3 +130,11 @@ def _pair(names: tuple[str, str]) -> tuple[str, ...]:
     pair = SignaturePair.of(plain, alternative)
     own = (f"`{pair.wire_name}`", str(alternative.signature_size), _size(pair))
     return (_words(plain).replace("RSA-", "RSA "), _words(alternative), *own)
+
+
+def _kind(kind: TransformationKind) -> tuple[str, ...]:
+    material = KeyMaterial.generate(kind)
+    sizes = [str(len(material.encode()))]
+    sizes.append(str(len(material.for_receiver().encode())) if kind else "")
+    content = ("encrypted" if kind.encrypts else "signed") if kind else "as it is"
+    return (str(kind.value), kind.name, str(kind.key_size), content, *sizes)

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from examples.study.summary import STACKS as NAMES
 from examples.study.summary import coverage, interval, told
 from pqsec_pki.trial import STACKS, MissingStackError, SegmentError, find, refuse_without_hosts
 
@@ -34,7 +35,7 @@ def test_the_small_matrix_ends_with_tables_and_plots(stack, requires, tmp_path):
             rows = list(csv.DictReader(file))
         assert len([row for row in rows if row["measure"] == "full_s"]) == 4 * rounds
         assert len([row for row in rows if row["measure"] == "environment.cores"]) == 1
-    assert f"## Two hosts, {stack}, MTU 1500" in (tmp_path / "tables.md").read_text()
+    assert f"## Two hosts, {NAMES[stack]}, MTU 1500" in (tmp_path / "tables.md").read_text()
     assert (tmp_path / "pairs-meetings.svg").exists()
 
 
@@ -49,6 +50,11 @@ def test_the_interval_of_a_median_has_its_coverage():
 
 def test_too_few_runs_are_told_with_their_own_coverage():
     assert told([0.5, 0.7, 0.6]) == "0.6 [0.5, 0.7] (75%)"
+
+
+def test_one_or_two_runs_have_no_interval():
+    assert told([0.5]) == "0.5"
+    assert told([0.7], 1) == "0.7, -"
 
 
 def test_runs_that_did_not_end_are_later_than_all_others():

@@ -14,7 +14,7 @@ from pqsec_pki.vendors.messages import Tells, messages, nearest, recognise
 STACKS = {"cyclonedds", "fastdds", "opendds", "ros2"}
 CYCLONE_CODES = {100, *range(110, 153), 200, 301}
 
-# What stacks were seen to say (stacks.md and the tests of tests/interop) -> what it is.
+# What stacks were seen to say (the tests of tests/interop) -> what it is.
 MEASURED = {
     "Error occurred while validating local permission: Certificate authentication algorithm"
     " unknown(code: 125)": "Certificate authentication algorithm unknown",
