@@ -11,19 +11,19 @@ from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.estimation import (
+    TIMES,
     VALIDITY,
     Estimate,
     Scenario,
     costs_of,
     estimated,
+    mean_of,
     read_costs,
     sizes_in,
     sizes_of,
     svg_of,
 )
 from pqsec_pki.handshake import MessageSizes
-
-_TIMES = (1, 2, 5, 10, 30, 60)
 
 
 @_help.command(
@@ -136,8 +136,8 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
     name, sizes = _fleet(participants, profile)
     scenario = Scenario(
         participants=participants or len(sizes),
-        sizes=_mean(sizes),
-        each=sizes if len(set(sizes)) > 1 else (),
+        sizes=mean_of(sizes),
+        each=sizes,
         costs=read_costs(measured, name) if measured else costs_of(name),
         loss=loss,
         fragment=fragment,
@@ -172,56 +172,43 @@ def _fleet(participants: int | None, profile: str | None) -> tuple[str, tuple[Me
     return keystore.profile.name, sizes
 
 
-def _mean(sizes: tuple[MessageSizes, ...]) -> MessageSizes:
-    number = len(sizes)
-    return MessageSizes(
-        *(
-            round(sum(getattr(each, name) for each in sizes) / number)
-            for name in ("request", "reply", "final")
-        )
-    )
-
-
 def _lines(profile: str, found: Estimate) -> Iterator[str]:
-    scenario, closed, simulation = found.scenario, found.closed, found.simulation
-    sizes = scenario.sizes
-    frames = "/".join(
-        str(sum(scenario.datagrams(each))) for each in (sizes.request, sizes.reply, sizes.final)
-    )
-    busy, count = scenario.busy, scenario.participants
-    hosts = _printing.counted(scenario.machines, "host")
-    cores = _printing.counted(scenario.cores, "core")
-    who = f"{count} participants of profile {profile} on {hosts} of {cores}"
-    yield f"{who}, {scenario.loss:.3g} of all frames lost"
-    yield ""
-    yield f"handshakes      {scenario.pairs}"
-    yield f"messages        {sizes.request}/{sizes.reply}/{sizes.final} bytes in {frames} frames"
-    megabytes = scenario.bytes / 1e6
-    yield f"bytes           {megabytes:.4g} MB, {megabytes / count:.3g} of each participant"
-    yield f"processor       {busy:.3g} s of all cores of each host"
-    yield f"                {scenario.costs.source}"
-    yield f"reassembly      {scenario.in_reassembly} of {scenario.threshold} bytes in a host"
-    yield ""
-    rows = [
-        (
-            f"full mesh, {label}",
-            _seconds(closed.mesh(share)),
-            _seconds(simulation.mesh(share) if simulation.is_whole else None, "-"),
-        )
-        for label, share in (("median", 0.5), ("95 %", 0.95))
-    ]
-    rows.append(("a pair, median", _seconds(closed.pair(0.5)), _seconds(simulation.pair(0.5))))
-    pairs = simulation.pairs
-    for time in _TIMES:
-        simulated = sum(each > time for each in pairs) / len(pairs)
-        rows.append((f"apart after {time} s", f"{closed.apart(time):.3%}", f"{simulated:.3%}"))
-    yield from _printing.table(("", "closed form", "simulation"), rows)
+    yield from _scenario_lines(profile, found.scenario)
+    yield from _printing.table(("", "closed form", "simulation"), _rows(found))
     for advice in found.advice:
         then = f": full mesh in {_seconds(advice.median)}" if advice.median else ""
         yield f"to do: {advice.change}{then}"
     for note in found.notes:
         yield f"note: {note}"
     yield VALIDITY
+
+
+def _scenario_lines(profile: str, scenario: Scenario) -> Iterator[str]:
+    count, megabytes = scenario.participants, scenario.bytes / 1e6
+    hosts = _printing.counted(scenario.host_count, "host")
+    cores = _printing.counted(scenario.cores, "core")
+    who = f"{count} participants of profile {profile} on {hosts} of {cores}"
+    sizes = "/".join(map(str, scenario.sizes))
+    frames = "/".join(map(str, map(scenario.frames, scenario.sizes)))
+    yield f"{who}, {scenario.loss:.3g} of all frames lost"
+    yield ""
+    yield f"handshakes      {scenario.pairs}"
+    yield f"messages        {sizes} bytes in {frames} frames"
+    yield f"bytes           {megabytes:.4g} MB, {megabytes / count:.3g} of each participant"
+    yield f"processor       {scenario.busy:.3g} s of all cores of each host"
+    yield f"                {scenario.costs.source}"
+    yield f"reassembly      {scenario.in_reassembly} of {scenario.threshold} bytes in a host"
+    yield ""
+
+
+def _rows(found: Estimate) -> Iterator[tuple[str, str, str]]:
+    closed, simulation = found.closed, found.simulation
+    for label, share in (("median", 0.5), ("95 %", 0.95)):
+        simulated = simulation.mesh(share) if simulation.is_whole else None
+        yield f"full mesh, {label}", _seconds(closed.mesh(share)), _seconds(simulated, "-")
+    yield "a pair, median", _seconds(closed.pair(0.5)), _seconds(simulation.pair(0.5))
+    for time in TIMES:
+        yield f"apart after {time} s", f"{closed.apart(time):.3%}", f"{simulation.apart(time):.3%}"
 
 
 def _seconds(value: float | None, missing: str = "over 600 s") -> str:

@@ -18,16 +18,17 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.estimation.closed_form import ClosedForm
     from pqsec_pki.estimation.costs import Costs, costs_of, read_costs
-    from pqsec_pki.estimation.estimate import VALIDITY, Estimate, estimated
-    from pqsec_pki.estimation.messages import sizes_in, sizes_of
+    from pqsec_pki.estimation.estimate import TIMES, VALIDITY, Estimate, estimated
+    from pqsec_pki.estimation.messages import mean_of, sizes_in, sizes_of
     from pqsec_pki.estimation.plot import svg_of
-    from pqsec_pki.estimation.scenario import Scenario, delivered_before_full
+    from pqsec_pki.estimation.scenario import Scenario
     from pqsec_pki.estimation.simulation import MOST_PAIRS, Simulated, simulated
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "MOST_PAIRS",
+    "TIMES",
     "VALIDITY",
     "ClosedForm",
     "Costs",
@@ -35,8 +36,8 @@ __all__ = [
     "Scenario",
     "Simulated",
     "costs_of",
-    "delivered_before_full",
     "estimated",
+    "mean_of",
     "read_costs",
     "simulated",
     "sizes_in",

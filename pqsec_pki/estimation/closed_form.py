@@ -45,7 +45,7 @@ class ClosedForm:
         """Of the mean sizes; memory for reassembly is taken as sufficient."""
         spent = [1 - each for each in accumulate(_delays(scenario))]
         delays = tuple(max(each, 0.0) for each in spent)
-        prompt = 1 - delays[min(int(sum(scenario.seconds) / STEP), _BINS - 1)]
+        prompt = 1 - delays[min(int(sum(scenario.work) / STEP), _BINS - 1)]
         return cls(scenario.pairs, tuple(_turns(scenario, prompt)), delays)
 
     def apart(self, time: float) -> float:
@@ -95,7 +95,7 @@ def _turns(scenario: Scenario, prompt: float) -> Iterator[tuple[float, float]]:
     """
     costs = scenario.costs
     alone = (costs.initiator + costs.responder + costs.stack) / 1000
-    is_busy = prompt * sum(scenario.seconds) > scenario.start_within
+    is_busy = prompt * sum(scenario.work) > scenario.start_within
     for each in range(_TURNS):
         place = (each + 1) / _TURNS
         start = scenario.start_within * place**0.5

@@ -66,6 +66,11 @@ class Estimate:
     @property
     def advice(self) -> Iterator[Advice]:
         """Changes that would help, each alone."""
+        yield from self._for_datagrams()
+        yield from self._for_processors()
+        yield from self._for_losses()
+
+    def _for_datagrams(self) -> Iterator[Advice]:
         scenario = self.scenario
         if max(scenario.datagrams(scenario.sizes.reply)) > 1:
             words = (
@@ -75,19 +80,23 @@ class Estimate:
         if scenario.overflows:
             need = -(-scenario.in_reassembly // IPFRAG_HIGH_THRESH) * IPFRAG_HIGH_THRESH
             yield Advice(f"or set net.ipv4.ipfrag_high_thresh={need} on each host", None)
-        busy = sum(scenario.seconds)
-        if busy > max(RESEND, scenario.start_within):
-            words = f"start the participants over {busy * 1.2:.0f} s: no message is then repeated"
-            changed = replace(scenario, start_within=busy * 1.2)
-            yield Advice(f"{words} only because hosts are busy", ClosedForm.of(changed).mesh(0.5))
-            changed = replace(scenario, cores=2 * scenario.cores)
-            yield from self._if_faster(f"give each host {changed.cores} cores", changed)
-        if scenario.loss:
-            for profile in PROFILES:
-                sizes = sizes_of(profile)
-                changed = replace(scenario, sizes=sizes, each=())
-                if sizes.reply < scenario.sizes.reply * _WORTH:
-                    yield from self._if_faster(f"profile {profile.name}", changed)
+
+    def _for_processors(self) -> Iterator[Advice]:
+        scenario, busy = self.scenario, sum(self.scenario.work)
+        if busy <= max(RESEND, scenario.start_within):
+            return
+        words = f"start the participants over {busy * 1.2:.0f} s: no message is then repeated"
+        changed = replace(scenario, start_within=busy * 1.2)
+        yield Advice(f"{words} only because hosts are busy", ClosedForm.of(changed).mesh(0.5))
+        changed = replace(scenario, cores=2 * scenario.cores)
+        yield from self._if_faster(f"give each host {changed.cores} cores", changed)
+
+    def _for_losses(self) -> Iterator[Advice]:
+        scenario = self.scenario
+        for profile in PROFILES if scenario.loss else ():
+            changed = replace(scenario, sizes=sizes_of(profile), each=())
+            if changed.sizes.reply < scenario.sizes.reply * _WORTH:
+                yield from self._if_faster(f"profile {profile.name}", changed)
 
     def _if_faster(self, words: str, changed: Scenario) -> Iterator[Advice]:
         before, after = self.closed.mesh(0.5), ClosedForm.of(changed).mesh(0.5)
@@ -96,45 +105,17 @@ class Estimate:
 
     def to_json(self) -> dict[str, object]:
         """For --json."""
-        scenario, closed, simulation = self.scenario, self.closed, self.simulation
-        frames = {
-            name: sum(scenario.datagrams(getattr(scenario.sizes, name)))
-            for name in ("request", "reply", "final")
-        }
-        times = simulation.pairs
+        simulation = self.simulation
         return {
-            "participants": scenario.participants,
-            "hosts": scenario.machines,
-            "cores": scenario.cores,
-            "loss": scenario.loss,
-            "fragment_bytes": scenario.fragment,
-            "start_within_s": scenario.start_within,
-            "sample_bytes": scenario.sizes,
-            "frames": frames,
-            "handshakes": scenario.pairs,
-            "bytes": round(scenario.bytes),
-            "cpu_s": round(scenario.busy * scenario.machines * scenario.cores, 3),
-            "busy_s": round(scenario.busy, 3),
-            "costs": scenario.costs,
-            "closed_form": {
-                "mesh_median_s": _rounded(closed.mesh(0.5)),
-                "mesh_p95_s": _rounded(closed.mesh(0.95)),
-                "pair_median_s": _rounded(closed.pair(0.5)),
-                "apart": {str(each): round(closed.apart(each), 9) for each in TIMES},
-            },
+            **self.scenario.to_json(),
+            "closed_form": _times(self.closed, digits=9),
             "simulation": {
                 "runs": simulation.runs,
                 "participants": simulation.participants,
                 "events": simulation.events,
-                "mesh_median_s": _rounded(simulation.mesh(0.5)),
-                "mesh_p95_s": _rounded(simulation.mesh(0.95)),
-                "pair_median_s": _rounded(simulation.pair(0.5)),
-                "apart": {
-                    str(time): round(sum(each > time for each in times) / len(times), 6)
-                    for time in TIMES
-                },
+                **_times(simulation, digits=6),
             },
-            "reassembly_bytes": scenario.in_reassembly,
+            "reassembly_bytes": self.scenario.in_reassembly,
             "advice": list(self.advice),
             "notes": list(self.notes),
             "validity": VALIDITY,
@@ -144,6 +125,16 @@ class Estimate:
 def estimated(scenario: Scenario, seed: int) -> Estimate:
     """By both models; the same for the same seed."""
     return Estimate(scenario, ClosedForm.of(scenario), simulated(scenario, seed))
+
+
+def _times(model: ClosedForm | Simulated, digits: int) -> dict[str, object]:
+    """The same questions to either model; shares of pairs with so many digits."""
+    return {
+        "mesh_median_s": _rounded(model.mesh(0.5)),
+        "mesh_p95_s": _rounded(model.mesh(0.95)),
+        "pair_median_s": _rounded(model.pair(0.5)),
+        "apart": {str(each): round(model.apart(each), digits) for each in TIMES},
+    }
 
 
 def _rounded(seconds: float | None) -> float | None:

@@ -1,6 +1,7 @@
 """Bytes of the three handshake messages, as samples, without running a handshake."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from statistics import fmean
 
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.credentials import CERTIFICATE, PERMISSIONS
@@ -34,14 +35,18 @@ def sizes_in(keystore: Keystore) -> Iterator[MessageSizes]:
     for name in keystore.names():
         files = enclave_files(keystore.root, name)
         sizes = _sizes(keystore.profile, len(files[CERTIFICATE]), len(files[PERMISSIONS]))
-        largest = max(sizes.request, sizes.reply, sizes.final)
-        if largest > MAX_SAMPLE:
+        if (largest := max(sizes)) > MAX_SAMPLE:
             raise KeystoreError(
                 f"a handshake message of {shown(name)} has {largest} bytes; peers read at most"
                 f" {MAX_SAMPLE}",
                 hint="issue it again with fewer topics, or with patterns for them",
             )
         yield sizes
+
+
+def mean_of(sizes: Sequence[MessageSizes]) -> MessageSizes:
+    """The mean of each message, in whole bytes."""
+    return MessageSizes(*(round(fmean(each)) for each in zip(*sizes, strict=True)))
 
 
 def _sizes(profile: Profile, certificate: int, permissions: int) -> MessageSizes:

@@ -33,7 +33,7 @@ Cyclone DDS's own plugins; fitted, the cause was not examined."""
 GIVE_UP = 100.0
 """Seconds after which a handshake ends without success."""
 REASSEMBLY = 30.0
-"""Seconds for which it holds them (net.ipv4.ipfrag_time)."""
+"""Seconds for which a host holds an incomplete datagram (net.ipv4.ipfrag_time)."""
 HEADERS = 92
 """Bytes of UDP, RTPS and DATA_FRAG around a fragment."""
 _MILLI = 1000
@@ -53,7 +53,7 @@ class Scenario:
     """The mean of all, if they differ."""
     costs: Costs
     each: tuple[MessageSizes, ...] = ()
-    """Of each participant, if they differ."""
+    """Of each participant, if they are known."""
     loss: float = 0.0
     """The share of frames that get lost, 0 <= loss < 1."""
     fragment: int = 1300
@@ -68,8 +68,8 @@ class Scenario:
     """Bytes: net.ipv4.ipfrag_high_thresh of each host."""
 
     @property
-    def machines(self) -> int:
-        """How many hosts there are."""
+    def host_count(self) -> int:
+        """How many hosts run participants."""
         return min(self.hosts or self.participants, self.participants)
 
     @property
@@ -83,15 +83,19 @@ class Scenario:
         parts = [self.fragment] * whole + [rest] * (rest > 0)
         return [-(-(part + HEADERS) // FRAME) for part in parts]
 
+    def frames(self, size: int) -> int:
+        """The frames of all these datagrams."""
+        return sum(self.datagrams(size))
+
     def delivery(self, size: int) -> float:
         """The probability that all frames of a sample arrive, if there is memory for them."""
-        return max((1 - self.loss) ** sum(self.datagrams(size)), _LEAST)
+        return max((1 - self.loss) ** self.frames(size), _LEAST)
 
     @cached_property
     def deliveries(self) -> tuple[float, float, float]:
         """Of Request, of Reply, and of one of the FINALS that answer it."""
-        sizes, of = self.sizes, self.delivery
-        return of(sizes.request), of(sizes.reply), 1 - (1 - of(sizes.final)) ** FINALS
+        request, reply, final = map(self.delivery, self.sizes)
+        return request, reply, 1 - (1 - final) ** FINALS
 
     @property
     def sent(self) -> tuple[float, float, float]:
@@ -106,17 +110,17 @@ class Scenario:
     @property
     def bytes(self) -> float:
         """Of samples that all participants send, on average."""
-        sizes = (self.sizes.request, self.sizes.reply, self.sizes.final)
-        return self.pairs * sum(size * often for size, often in zip(sizes, self.sent, strict=True))
+        sent = zip(self.sizes, self.sent, strict=True)
+        return self.pairs * sum(size * often for size, often in sent)
 
     @property
-    def seconds(self) -> tuple[float, float]:
-        """Of all cores of a host: start, Replies and Finals; then what the stack does."""
+    def work(self) -> tuple[float, float]:
+        """Seconds of all cores of a host: for starts and handshakes; then for the stack."""
         costs = self.costs
-        on_host = self.participants / self.machines / self.cores / _MILLI
+        on_host = self.participants / self.host_count / self.cores / _MILLI
         pairs = (self.participants - 1) / 2
-        shake = costs.start + pairs * (costs.initiator + costs.responder)
-        return on_host * shake, on_host * 2 * pairs * costs.stack
+        handshakes = costs.start + pairs * (costs.initiator + costs.responder)
+        return on_host * handshakes, on_host * 2 * pairs * costs.stack
 
     @property
     def busy(self) -> float:
@@ -129,7 +133,7 @@ class Scenario:
         First all handshakes, then what the stack does for each pair, which costs more the longer
         the pair has waited. No pair waits if the participants start slowly enough.
         """
-        handshakes, stack = self.seconds
+        handshakes, stack = self.work
         waiting = max(0.0, 1 - self.start_within / (handshakes + stack or 1.0))
         growth = waiting * self.costs.repeat / (self.costs.stack or 1.0)
         if growth == 0:
@@ -142,26 +146,28 @@ class Scenario:
         """Bytes that a host holds if each peer's largest message arrives at once."""
         if max(self.datagrams(self.sizes.reply)) == 1:
             return 0
-        frames = sum(self.datagrams(self.sizes.reply))
-        return round(
-            frames * FRAME_MEMORY * (self.participants - 1) * self.participants / self.machines
-        )
+        held = self.frames(self.sizes.reply) * FRAME_MEMORY
+        return round(held * (self.participants - 1) * self.participants / self.host_count)
 
     @property
     def overflows(self) -> bool:
         """Whether datagrams may get lost because a host has no memory to reassemble them."""
         return self.in_reassembly > self.threshold
 
-
-def delivered_before_full(size: int, loss: float, threshold: int = IPFRAG_HIGH_THRESH) -> float:
-    """Datagrams of `size` bytes that arrive within 30 s before incomplete ones fill the memory.
-
-    Each incomplete one holds what arrived of it; when they fill `threshold` bytes, none arrives.
-    Infinite without loss, or if a datagram is one frame.
-    """
-    frames = -(-size // FRAME)
-    whole = (1 - loss) ** frames
-    if frames == 1 or whole == 1:
-        return float("inf")
-    held = (1 - loss) * frames * FRAME_MEMORY
-    return threshold / held / (1 - whole) * whole
+    def to_json(self) -> dict[str, object]:
+        """The fleet, and what follows from it without a model of time."""
+        return {
+            "participants": self.participants,
+            "hosts": self.host_count,
+            "cores": self.cores,
+            "loss": self.loss,
+            "fragment_bytes": self.fragment,
+            "start_within_s": self.start_within,
+            "sample_bytes": self.sizes._asdict(),
+            "frames": {name: self.frames(size) for name, size in self.sizes._asdict().items()},
+            "handshakes": self.pairs,
+            "bytes": round(self.bytes),
+            "cpu_s": round(self.busy * self.host_count * self.cores, 3),
+            "busy_s": round(self.busy, 3),
+            "costs": self.costs,
+        }

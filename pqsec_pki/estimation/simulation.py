@@ -60,6 +60,10 @@ class Simulated:
         """Whether it was the fleet itself, in more than one run."""
         return self.runs > 1
 
+    def apart(self, time: float) -> float:
+        """The share of pairs that have not met `time` seconds after the first start."""
+        return sum(each > time for each in self.pairs) / len(self.pairs)
+
     def pair(self, share: float) -> float:
         """Seconds until that share of the pairs has met."""
         return self.pairs[min(int(share * len(self.pairs)), len(self.pairs) - 1)]
@@ -92,7 +96,7 @@ def _represented(scenario: Scenario, most: int) -> Scenario:
     if scenario.pairs <= most:
         return scenario
     count = max(2, int((2 * most) ** 0.5))
-    on_host = scenario.participants / scenario.machines
+    on_host = scenario.participants / scenario.host_count
     hosts = max(1, round(count / on_host))
     more = (scenario.participants - 1) / (count - 1) * on_host / (count / hosts)
     costs = scenario.costs
@@ -110,7 +114,7 @@ def _represented(scenario: Scenario, most: int) -> Scenario:
         hosts=hosts,
         costs=dearer,
         threshold=max(1, int(scenario.threshold / more)),
-        each=scenario.each[:: max(1, len(scenario.each) // count)][:count] if scenario.each else (),
+        each=scenario.each[:: max(1, len(scenario.each) // count)][:count],
     )
 
 
@@ -121,9 +125,9 @@ class _Run:
         self._scenario, self._random = scenario, random
         self._loss, self._costs = scenario.loss, scenario.costs
         count = scenario.participants
-        self._free = [[0.0] * scenario.cores for _ in range(scenario.machines)]
-        self._held: list[deque[tuple[float, int]]] = [deque() for _ in range(scenario.machines)]
-        self._holds = [0] * scenario.machines
+        self._free = [[0.0] * scenario.cores for _ in range(scenario.host_count)]
+        self._held: list[deque[tuple[float, int]]] = [deque() for _ in range(scenario.host_count)]
+        self._holds = [0] * scenario.host_count
         self._starts = [random.uniform(0, scenario.start_within) for _ in range(count)]
         self._sides = [(one, two) for one in range(count) for two in range(one + 1, count)]
         random.shuffle(self._sides)
@@ -134,14 +138,8 @@ class _Run:
         self.events = 0
         self._queue: list[Event] = []
         each = scenario.each or (scenario.sizes,)
-        self._frames = [
-            tuple(scenario.datagrams(size) for size in (one.request, one.reply, one.final))
-            for one in each
-        ]
-        self._whole = [
-            tuple(scenario.delivery(size) for size in (one.request, one.reply, one.final))
-            for one in each
-        ]
+        self._frames = [tuple(map(scenario.datagrams, one)) for one in each]
+        self._whole = [tuple(map(scenario.delivery, one)) for one in each]
 
     def go(self) -> None:
         """Until all pairs have met, or given up."""
@@ -163,7 +161,7 @@ class _Run:
         heappush(self._queue, (time, self.events, run, words))
 
     def _host(self, participant: int) -> int:
-        return participant % self._scenario.machines
+        return participant % self._scenario.host_count
 
     def _work(self, participant: int, now: float, milliseconds: float) -> float:
         """When the host of `participant` has done it, in the order of arrival."""

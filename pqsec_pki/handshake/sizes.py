@@ -1,6 +1,7 @@
 """Bytes of the samples of a handshake's messages, without running it."""
 
-from pqsec_pki._dataclass import dataclass
+from typing import NamedTuple
+
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.handshake.messages import (
     CHALLENGE_SIZE,
@@ -13,8 +14,7 @@ from pqsec_pki.handshake.messages import (
 from pqsec_pki.handshake.wire import GUID_SIZE, GenericMessage, MessageClass
 
 
-@dataclass(frozen=True, slots=True)
-class MessageSizes:
+class MessageSizes(NamedTuple):
     """Bytes of the samples that one participant sends, in the first version of the messages."""
 
     request: int
