@@ -23,16 +23,9 @@ from pqsec_pki.cli import _bench_bar, _formats, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.trial import HOSTS, MACHINE, STACKS, Link, find, refuse_without_hosts
 
-ROUNDS = 3
-_USUAL: dict[str, Any] = {
-    "plugins": (Plugins.PQSEC.value,),
-    "hosts": (2,),
-    "loss": (0.0,),
-    "delay": (0.0,),
-    "mtu": (1500,),
-    "timeout": 60.0,
-    "samples": 20,
-    "root": MACHINE,
+_ROUNDS = 3
+_OF_STACK = {
+    *("--plugins", "--hosts", "--loss", "--delay", "--mtu", "--timeout", "--samples", "--root"),
 }
 _HEADERS = (
     *("profile", "plugins", "hosts", "loss", "delay", "mtu", "complete", "full s", "to"),
@@ -48,24 +41,28 @@ _OPTIONS = (
         "--plugins",
         multiple=True,
         type=click.Choice([each.value for each in Plugins]),
+        default=(Plugins.PQSEC.value,),
         help="With --stack: run pqsec's plugins, the stack's own, or none.  [default: pqsec]",
     ),
     click.option(
         "--hosts",
         multiple=True,
         type=click.IntRange(2, HOSTS),
+        default=(2,),
         help="With --stack: run so many hosts.  [default: 2]",
     ),
     click.option(
         "--loss",
         multiple=True,
         type=_settings.Percent(),
+        default=("0%",),
         help="With --stack: lose this part of frames.  [default: 0%]",
     ),
     click.option(
         "--delay",
         multiple=True,
         type=_settings.FiniteRange(0, 10_000),
+        default=(0.0,),
         metavar="MS",
         help="With --stack: delay each frame by so many milliseconds.  [default: 0]",
     ),
@@ -73,22 +70,26 @@ _OPTIONS = (
         "--mtu",
         multiple=True,
         type=click.IntRange(256, 9000),
+        default=(1500,),
         help="With --stack: the longest IP packet in a frame.  [default: 1500]",
     ),
     click.option(
         "--timeout",
         type=_settings.FiniteRange(1, 3600),
+        default=60.0,
         metavar="SECONDS",
         help="With --stack: end a run when its hosts have not met by then.  [default: 60]",
     ),
     click.option(
         "--samples",
         type=click.IntRange(0, 10_000),
+        default=20,
         help="With --stack: send so many from each host to all others.  [default: 20]",
     ),
     click.option(
         "--root",
         type=_settings.FOLDER,
+        default=MACHINE,
         metavar="DIR",
         help="With --stack: use the one in this root file system.  [default: the installed one]",
     ),
@@ -102,31 +103,27 @@ def options(command: _settings.Command) -> _settings.Command:
     return command
 
 
-def refuse_without_stack(given: dict[str, Any]) -> None:
+def refuse_without_stack() -> None:
     """UsageError for an option that needs --stack."""
-    named = [name for name in _USUAL if given[name] not in (None, ())]
-    if named:
-        raise UsageError(
-            f"--{named[0]} is for hosts of a stack", hint=f"name one: --stack {STACKS[0]}"
-        )
+    for option in _settings.given_options().values():
+        if option in _OF_STACK:
+            raise UsageError(
+                f"{option} is for hosts of a stack", hint=f"name one: --stack {STACKS[0]}"
+            )
 
 
-def run(
-    stack: str, profiles: Sequence[str], rounds: int, form: str, given: dict[str, Any]
-) -> tuple[list[dict[str, object]], bool]:
+def run(stack: str, form: str, given: dict[str, Any]) -> tuple[list[dict[str, object]], bool]:
     """Measure and print; the rows of CSV, and whether all runs were finished."""
-    chosen = {name: given[name] or usual for name, usual in _USUAL.items()}
-    if given["samples"] == 0:
-        chosen["samples"] = 0
     environment = Environment.here(_settings.now())
-    installation = find(stack, chosen["root"])
+    installation = find(stack, given["root"])
     refuse_without_hosts()
+    rounds, profiles = given["rounds"] or _ROUNDS, given["profiles"]
     plan = MeshPlan(
         installation=installation,
-        cases=list(_cases(profiles or [each.name for each in PROFILES], chosen)),
+        cases=list(_cases(profiles or [each.name for each in PROFILES], given)),
         rounds=rounds,
-        timeout=chosen["timeout"],
-        samples=chosen["samples"],
+        timeout=given["timeout"],
+        samples=given["samples"],
         now=_settings.now(),
     )
     length = len(plan.cases) * rounds
@@ -143,13 +140,13 @@ def run(
     return rows, complete
 
 
-def _cases(profiles: Sequence[str], chosen: dict[str, Any]) -> Iterator[MeshCase]:
+def _cases(profiles: Sequence[str], given: dict[str, Any]) -> Iterator[MeshCase]:
     kinds = [
         (plugins, profile)
-        for plugins in map(Plugins, chosen["plugins"])
+        for plugins in map(Plugins, given["plugins"])
         for profile in ([None] if plugins is Plugins.NONE else profiles)
     ]
-    axes = (chosen[name] for name in ("hosts", "loss", "delay", "mtu"))
+    axes = (given[name] for name in ("hosts", "loss", "delay", "mtu"))
     for hosts, loss, delay, mtu in product(*axes):
         link = Link(loss=loss, delay=delay / 1000, mtu=mtu)
         for plugins, profile in dict.fromkeys(kinds):

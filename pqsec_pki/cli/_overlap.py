@@ -3,10 +3,7 @@
 from collections.abc import Iterator
 from typing import Any
 
-import click
-from click.core import ParameterSource
-
-from pqsec_pki.cli import _printing
+from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lifecycle import OverlapStep, RolloverPlan, RolloverResult
 from pqsec_pki.vendors import TRUST
@@ -37,13 +34,7 @@ _ACCEPTED = {
 def refuse_options(step: OverlapStep) -> None:
     """UsageError for an option that the step does not accept."""
     refused = _ISSUING_OPTIONS - _ACCEPTED.get(step, frozenset())
-    context = click.get_current_context()
-    given = [
-        each.opts[0]
-        for each in context.command.params
-        if each.name in refused
-        and context.get_parameter_source(each.name) is ParameterSource.COMMANDLINE
-    ]
+    given = [option for name, option in _settings.given_options().items() if name in refused]
     if given:
         raise UsageError(f"{', '.join(given)} does not go with --overlap {step}")
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+from click.core import ParameterSource
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError
@@ -73,6 +74,16 @@ def command_options(command: Command) -> Command:
         help="Print the result as JSON.",
     )
     return keystore(as_json(command))
+
+
+def given_options() -> dict[str, str]:
+    """The options on the command line: their parameters, and names such as --domain."""
+    context = click.get_current_context()
+    return {
+        str(each.name): each.opts[0]
+        for each in context.command.params
+        if context.get_parameter_source(str(each.name)) is ParameterSource.COMMANDLINE
+    }
 
 
 def keystore_path(context: click.Context | None = None) -> Path:

@@ -42,7 +42,8 @@ _HEADERS = (
     *("bytes", "fragments", "memory kB"),
 )
 _KILO = 1000
-_ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
+_ROUNDS = 50
+_OF_MEMORY = {"--signature", "--kem", "--all", "--warm-up", "--fragment-size", _wire_version.NAME}
 
 
 @_help.command(
@@ -95,12 +96,14 @@ _ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
 @click.option(
     "--warm-up",
     type=click.IntRange(0, 100_000),
+    default=5,
     help="Run this many handshakes before, which do not count.  [default: 5]",
 )
 @click.option(
     "--fragment-size",
     "fragment",
     type=click.IntRange(64, 65_000),
+    default=1344,
     help="Bytes of a sample in one datagram.  [default: 1344, Cyclone DDS's]",
 )
 @_wire_version.option(
@@ -116,21 +119,13 @@ _ROUNDS, _WARM_UP, _FRAGMENT = 50, 5, 1344
 @click.option("--force", is_flag=True, help="Replace such files.")
 @_formats.option()
 @_settings.command_options
-def bench(  # noqa: PLR0913 -- one for each option, by name
+def bench(
     *,
-    profiles: tuple[str, ...],
-    signatures: tuple[str, ...],
-    agreements: tuple[str, ...],
-    every: bool,
-    rounds: int | None,
-    warm_up: int | None,
-    fragment: int | None,
-    wire_version: str,
-    form: str,
     stack: str | None,
+    form: str,
     plot: Path | None,
     force: bool,
-    **hosts: Any,
+    **given: Any,
 ) -> int:
     """Measure the time, message sizes and memory of the handshake.
 
@@ -145,74 +140,67 @@ def bench(  # noqa: PLR0913 -- one for each option, by name
     times are combined. CSV has one line for each measured value.
     """
     form = _formats.chosen(form)
-    if every and (profiles or signatures or agreements):
+    if given["every"] and (given["profiles"] or given["signatures"] or given["agreements"]):
         raise UsageError("--all measures everything: leave out --profile, --signature and --kem")
     if stack:
-        version = None if wire_version == "1" else wire_version
-        _refuse_with_stack(
-            signatures or None, agreements or None, every or None, warm_up, fragment, version
-        )
+        _refuse_in_memory()
         with _bench_plots.plots(plot, MESH_PLOTS, force=force) as draw:
-            rows, complete = _bench_hosts.run(
-                stack, profiles, rounds or _bench_hosts.ROUNDS, form, hosts
-            )
+            rows, complete = _bench_hosts.run(stack, form, given)
             draw(lambda: meshes_drawn(rows))
-        return _ended(complete)
-    _bench_hosts.refuse_without_stack(hosts)
-    suites = (
+    else:
+        _bench_hosts.refuse_without_stack()
+        suites = _suites(given)
+        with _bench_plots.plots(plot, (SUITES,), force=force) as draw:
+            values, complete = _run(suites, form, given)
+            draw(lambda: suites_drawn(values))
+    if not complete:
+        _printing.note("interrupted: this is what was measured until then")
+    return 0 if complete else INTERRUPTED
+
+
+def _refuse_in_memory() -> None:
+    """UsageError for an option of handshakes in memory."""
+    for option in _settings.given_options().values():
+        if option in _OF_MEMORY:
+            raise UsageError(
+                f"{option} is for handshakes in memory",
+                hint="with --stack choose keys by --profile: hosts need a keystore",
+            )
+
+
+def _suites(given: dict[str, Any]) -> list[HandshakeSuite]:
+    found = (
         every_suite()
-        if every
+        if given["every"]
         else suites_of(
-            [profile_named(name) for name in profiles],
-            [SIGNATURES.named(name) for name in signatures],
-            [KEY_AGREEMENTS.named(name) for name in agreements],
+            [profile_named(name) for name in given["profiles"]],
+            [SIGNATURES.named(name) for name in given["signatures"]],
+            [KEY_AGREEMENTS.named(name) for name in given["agreements"]],
         )
     )
-    suites = tuple(each.in_version(_wire_version.version_of(wire_version)) for each in suites)
-    rounds, warm_up = rounds or _ROUNDS, _WARM_UP if warm_up is None else warm_up
-    fragment = fragment or _FRAGMENT
-    with _bench_plots.plots(plot, (SUITES,), force=force) as draw:
-        environment = Environment.here(_settings.now())
-        found = _measured(suites, rounds, warm_up)
-        complete = len(found) == len(suites) and all(len(each.rounds) == rounds for each in found)
-        _print(form, environment, found, fragment, complete=complete)
-        draw(lambda: suites_drawn([each.to_json(fragment) for each in found]))
-    return _ended(complete)
+    version = _wire_version.version_of(given["wire_version"])
+    return [each.in_version(version) for each in found]
 
 
-def _print(
-    form: str,
-    environment: Environment,
-    found: Sequence[MeasuredSuite],
-    fragment: int,
-    *,
-    complete: bool,
-) -> None:
+def _run(
+    suites: Sequence[HandshakeSuite], form: str, given: dict[str, Any]
+) -> tuple[list[dict[str, Any]], bool]:
+    """Measure and print; the suites of JSON, and whether all were measured."""
+    environment = Environment.here(_settings.now())
+    rounds, fragment = given["rounds"] or _ROUNDS, given["fragment"]
+    found = _measured(suites, rounds, given["warm_up"])
+    complete = len(found) == len(suites) and all(len(each.rounds) == rounds for each in found)
+    values = [each.to_json(fragment) for each in found]
     value = {
         "environment": environment,
         "complete": complete,
         "fragment_bytes": fragment,
-        "suites": [each.to_json(fragment) for each in found],
+        "suites": values,
     }
     samples = (row for each in found for row in each.rows())
     lines = _lines(environment, found, fragment)
     _formats.emit(form, value, lines, columns=CSV_COLUMNS, items=samples)
-
-
-def _refuse_with_stack(*given: object) -> None:
-    """UsageError for an option of the handshake in memory."""
-    names = ("--signature", "--kem", "--all", "--warm-up", "--fragment-size", _wire_version.NAME)
-    if unfit := [name for name, value in zip(names, given, strict=True) if value is not None]:
-        raise UsageError(
-            f"{unfit[0]} is for handshakes in memory",
-            hint="with --stack choose keys by --profile: hosts need a keystore",
-        )
-
-
-def _ended(complete: bool) -> int:  # noqa: FBT001 -- said by its name
-    if not complete:
-        _printing.note("interrupted: this is what was measured until then")
-    return 0 if complete else INTERRUPTED
+    return values, complete
 
 
 def _measured(suites: Sequence[HandshakeSuite], rounds: int, warm_up: int) -> list[MeasuredSuite]:

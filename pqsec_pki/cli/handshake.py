@@ -5,7 +5,6 @@ from dataclasses import replace
 from typing import Any
 
 import click
-from click.core import ParameterSource
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, KeyAgreement, Profile
 from pqsec_pki.cli import _completion, _help, _printing, _settings, _wire_version
@@ -137,20 +136,16 @@ def verify_handshake(context: click.Context, /, names: tuple[str, ...], **given:
     """
     if any(map(is_several, names)):
         names = tuple(admitted(_settings.open_keystore(), names))
-    mode = _mode(context, names)
+    mode = _mode(names)
     runs = {"--all": _all, "--matrix": _matrix, "--trace": _trace, "--attack": _attack}
     if not runs.get(mode, _one_pair)(names, given):
         context.exit(1)
 
 
-def _mode(context: click.Context, names: tuple[str, ...]) -> str:
+def _mode(names: tuple[str, ...]) -> str:
     """The mode, a key of _MODE_OPTIONS. UsageError for options that exclude each other."""
     known = set(_MODE_OPTIONS).union(*_MODE_OPTIONS.values())
-    given = {
-        option.opts[0]
-        for option in context.command.params
-        if context.get_parameter_source(str(option.name)) is ParameterSource.COMMANDLINE
-    } & known
+    given = known.intersection(_settings.given_options().values())
     mode, *others = [mode for mode in _MODE_OPTIONS if mode in given] or ["two participants"]
     if others:
         raise UsageError(f"{mode} and {others[0]} exclude each other")
