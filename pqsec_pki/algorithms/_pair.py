@@ -24,7 +24,7 @@ def pair_public(key: PublicKey, alternative: PublicKey) -> PublicKey:
 def pair_private(key: PrivateKey, alternative: PrivateKey) -> PrivateKey:
     """`key` and `alternative` as one key that signs with both."""
     public = pair_public(key.public_key, alternative.public_key)
-    return PrivateKey(public.algorithm, public, (key.handle, alternative.handle))
+    return PrivateKey(public.algorithm, public, (key, alternative))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,7 +70,8 @@ class SignaturePair(SignatureAlgorithm):
         return self.plain.raw_public(handle[0])
 
     def raw_private(self, handle: Any) -> bytes:
-        return self.plain.raw_private(handle[0])
+        plain: PrivateKey = handle[0]
+        return plain.raw
 
     def load_raw_public(self, data: bytes) -> Any:
         raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
@@ -79,9 +80,10 @@ class SignaturePair(SignatureAlgorithm):
         raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
 
     def sign(self, handle: Any, data: bytes) -> bytes:
-        plain, alternative = handle
-        first = self.alternative.sign_handshake(alternative, data)
-        return first + self.plain.sign_handshake(plain, data)
+        plain: PrivateKey
+        alternative: PrivateKey
+        plain, alternative = handle  # either may be in a token
+        return alternative.sign_handshake(data) + plain.sign_handshake(data)
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
         del identifier
@@ -93,4 +95,4 @@ class SignaturePair(SignatureAlgorithm):
         self.plain.check_handshake(plain, signature[cut:], data)
 
     def generate_handle(self) -> Any:
-        return self.plain.generate_handle(), self.alternative.generate_handle()
+        return self.plain.generate(), self.alternative.generate()

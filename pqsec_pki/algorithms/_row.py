@@ -150,6 +150,17 @@ class SignatureAlgorithm(ABC):
         """A signature as in handshake messages."""
         return self.sign(handle, data)
 
+    def refuse_own_handshakes(self) -> None:
+        """UsageError if its handshakes are signed in another way than its certificates.
+
+        A key in a token signs only as in certificates.
+        """
+        if type(self).sign_handshake is not SignatureAlgorithm.sign_handshake:
+            raise UsageError(
+                f"a token cannot sign handshakes with {self.name} keys: they need RSA-PSS",
+                hint="choose a participant's key of another kind, such as ecdsa-p256",
+            )
+
     def check_handshake(self, handle: Any, signature: bytes, data: bytes) -> None:
         """InvalidSignature or ValueError unless the handshake signature is valid."""
         self.check(handle, signature, data, self.identifier)
@@ -274,6 +285,5 @@ class ExternalKey(PrivateKey):
 
     def sign_handshake(self, data: bytes) -> bytes:
         """A signature over `data` as in handshake messages; UsageError if that is another kind."""
-        if type(self.algorithm).sign_handshake is not SignatureAlgorithm.sign_handshake:
-            raise UsageError(f"{self.uri} cannot sign handshakes: {self.algorithm.name} needs PSS")
+        self.algorithm.refuse_own_handshakes()
         return self.sign(data)

@@ -1,6 +1,6 @@
-"""Options for CA keys that are in tokens or held by another signer."""
+"""Options for keys that are in tokens or held by another signer."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -14,15 +14,19 @@ if TYPE_CHECKING:
 
 IN_FILE = "file"
 """In place of a URI: the key is in a file."""
-_HELP = {
+_CA = {
     "identity_key_uri": "the identity CA's key",
     "identity_alt_key_uri": "the identity CA's alternative key",
     "permissions_key_uri": "the permissions CA's key",
     "countersigner_key_uri": "the key of the permissions CA's countersigner",
 }
+_PARTICIPANT = {
+    "participant_key_uri": "the participant's key",
+    "alt_key_uri": "its alternative key",
+}
 
 Uris = Mapping[str, str]
-"""The names of files of CA keys -> URIs."""
+"""The names of files of keys -> URIs."""
 
 
 def _remember(context: click.Context, parameter: click.Parameter, value: str | None) -> None:
@@ -32,7 +36,16 @@ def _remember(context: click.Context, parameter: click.Parameter, value: str | N
 
 def options(command: _settings.Command) -> _settings.Command:
     """Add an option for the URI of each CA key; `given` has what they say."""
-    for name, what in reversed(_HELP.items()):
+    return _added(command, _CA)
+
+
+def participant_options(command: _settings.Command) -> _settings.Command:
+    """The same for a participant's keys, and `given_for_participant`."""
+    return _added(command, _PARTICIPANT)
+
+
+def _added(command: _settings.Command, table: Mapping[str, str]) -> _settings.Command:
+    for name, what in reversed(list(table.items())):
         add: Callable[[_settings.Command], _settings.Command] = click.option(
             f"--{name.replace('_', '-')}",
             metavar="URI",
@@ -52,8 +65,19 @@ def given() -> Uris:
         *(layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY),
         *(layout.PERMISSIONS_KEY, layout.PERMISSIONS_ALT_KEY),
     )
+    return _said(_CA, files)
+
+
+def given_for_participant() -> Uris:
+    """The same, for a participant's keys."""
+    from pqsec_pki.credentials import KEYS  # noqa: PLC0415 -- not for --help
+
+    return _said(_PARTICIPANT, KEYS)
+
+
+def _said(table: Iterable[str], files: Iterable[str]) -> Uris:
     found = click.get_current_context().meta.get(__name__, {})
-    return {file: found[name] for name, file in zip(_HELP, files, strict=True) if name in found}
+    return {file: found[name] for name, file in zip(table, files, strict=True) if name in found}
 
 
 @contextmanager
@@ -74,6 +98,12 @@ def keys(
     pairs = {name: (uri, algorithms[name]) for name, uri in outside.items()}
     with made_keys(pairs, _passphrases.pin) as made:
         yield {**made.keys}
-    for name in made.keys:
-        place = "was generated" if name in made.generated else "was there already, and is used"
-        _printing.note(f"{outside[name]} {place}")
+    note_places(outside, made.generated)
+
+
+def note_places(uris: Uris, generated: Collection[str]) -> None:
+    """Say of each key that is outside whether it was made now."""
+    for name, uri in uris.items():
+        place = "was generated" if name in generated else "was there already, and is used"
+        if uri != IN_FILE:
+            _printing.note(f"{uri} {place}")

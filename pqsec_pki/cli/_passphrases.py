@@ -1,6 +1,7 @@
 """Read passphrases from files or the terminal, and unlock CAs with them."""
 
 import os
+import stat
 import sys
 from contextlib import suppress
 from pathlib import Path
@@ -73,14 +74,12 @@ def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
 
 def pin(token: str) -> str:
     """The PIN of the token with that label: from the file in PQSEC_PIN_FILE, or the terminal."""
-    if file := os.environ.get(PIN_VARIABLE):
-        return _text(_read(Path(file)), Path(file))
-    if not sys.stdin.isatty():
-        raise PassphraseError(
-            f"the token '{token}' needs a PIN, and there is no terminal to ask for it",
-            hint=f"name a file with it in {PIN_VARIABLE}, or in the key's URI:"
-            " ?pin-source=file:/path",
-        )
+    from pqsec_pki.tokens import stored_pin  # noqa: PLC0415 -- not for every command
+
+    file = os.environ.get(PIN_VARIABLE)
+    if file or not sys.stdin.isatty():
+        _note_open(Path(file or os.devnull))
+        return stored_pin(token)
     return _asked(f"PIN of token '{token}'").decode()
 
 
@@ -149,13 +148,17 @@ def _asked(what: str, *, twice: bool = False) -> bytes:
         raise PassphraseError("the passphrase is not in the terminal's encoding") from None
 
 
+def _note_open(path: Path) -> None:
+    with suppress(OSError):  # whoever reads it raises the error
+        if stat.S_ISREG(mode := path.stat().st_mode) and mode & 0o077:
+            _printing.note(f"{path} can be read by others: chmod 600 it")
+
+
 def _read(path: Path) -> bytes:
     """The first line of the file, without its line end. PassphraseError if it is empty."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
 
-    with suppress(OSError):  # read() below raises the error
-        if path.stat().st_mode & 0o077:
-            _printing.note(f"{path} can be read by others: chmod 600 it")
+    _note_open(path)
     passphrase = read(path, limit=MAX_FILE).split(b"\n", 1)[0].rstrip(b"\r")
     if not passphrase:
         raise PassphraseError(f"{path}: the first line is empty, and must be the passphrase")

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
@@ -85,6 +85,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         older=older,
         alone=only,
         agreed=removed,
+        pin=_passphrases.pin,
     )
     word = "was already installed" if done.already else "installed"
     until = f"until {done.not_after:%Y-%m-%d}"
@@ -122,7 +123,7 @@ def rollback(folder: Path, *, older: bool) -> None:
     that were withdrawn, and accept peers that were revoked. The expiry of its certificates is
     not checked.
     """
-    earlier = roll_back(folder, now=_settings.now(), older=older)
+    earlier = roll_back(folder, now=_settings.now(), older=older, pin=_passphrases.pin)
     value = {"current": earlier.path, "installed_at": earlier.at}
     _printing.emit(
         value, [f"restored the set that was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]

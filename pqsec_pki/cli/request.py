@@ -6,7 +6,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _completion, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.enrolment import make_sealing_key
 from pqsec_pki.enrolment import requests as make_requests
@@ -53,6 +53,7 @@ folder_option = click.option(
     help="Choose another kind of alternative key.",
     shell_complete=_completion.signatures,
 )
+@_key_uris.participant_options
 @folder_option
 @click.option("--csr", type=_settings.FILE, metavar="FILE", help="Write all requests to FILE too.")
 @click.option(
@@ -71,17 +72,20 @@ def request(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Generate keys and certificate requests on the robot.
 
-    The keys stay in DIR. Copy each request.csr that is printed, or the FILE with all of them, to
-    the machine with the CAs, for `pqsec issue --csr` or `pqsec sign-request export`. The profile
-    must be the same as the keystore's. A pattern such as '/tb3/*' stands for the participants
-    that were requested or installed in DIR before: with --force they get new keys.
+    The keys stay in DIR, or in the places of the --...-uri options: a key that is there is used,
+    another one is generated there. Copy each request.csr that is printed, or the FILE with all
+    of them, to the machine with the CAs, for `pqsec issue --csr` or `pqsec sign-request export`.
+    The profile must be the same as the keystore's. A pattern such as '/tb3/*' stands for the
+    participants that were requested or installed in DIR before: with --force they get new keys.
     """
     if csr and not force:
         _files.refuse_existing(csr)
     profile = profile_named(profile_name).changed(
         {"participant_key": participant_key, "alternative_key": alt_key}
     )
-    made = make_requests(names, profile, folder, force=force)
+    uris = _key_uris.given_for_participant()
+    made = make_requests(names, profile, folder, uris=uris, pin=_passphrases.pin, force=force)
+    _key_uris.note_places(uris, made[0].generated)
     if csr:
         with _printing.with_hint(f"the requests are in {folder}: join their files"):
             _files.write(csr, b"".join(each.request.pem for each in made), force=force)

@@ -5,7 +5,7 @@ from dataclasses import field
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import PrivateKey, load_private_key
+from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials._pem_files import only_certificate
 from pqsec_pki.credentials.anchors import TrustAnchors
@@ -14,11 +14,13 @@ from pqsec_pki.credentials.names import (
     CERTIFICATE,
     GOVERNANCE,
     KEY,
+    KEYS,
     NEEDED,
     PERMISSIONS,
 )
 from pqsec_pki.errors import KeystoreError, PqsecError, located
 from pqsec_pki.problems import Code
+from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,7 +30,7 @@ class Credentials:
     name: str
     certificate: Certificate
     private_key: PrivateKey | None = field(default=None, repr=False)
-    """None if the keys are only on the participant's robot."""
+    """None if the keys are only on the participant's robot, or were not asked for in a token."""
     alternative_key: PrivateKey | None = field(default=None, repr=False)
     anchors: TrustAnchors
     permissions: bytes = field(repr=False)
@@ -37,12 +39,13 @@ class Credentials:
     """The signed governance document, S/MIME."""
 
     @classmethod
-    def of(
+    def of(  # noqa: PLR0913 -- the files of an enclave, by name, and how to read them
         cls,
         name: str,
         files: Mapping[str, bytes],
         passphrase: bytes | None = None,
         *,
+        pin: Pin | None = None,
         folder: object = None,
         anchors: TrustAnchors | None = None,
     ) -> Self:
@@ -51,16 +54,20 @@ class Credentials:
         KeystoreError if a required file is missing, MalformedError for a file that cannot be
         decoded, PassphraseError for an encrypted key without `passphrase`; the errors name
         the file in `folder`, if given. `anchors` are those of the files, if they were read before.
+        Keys in tokens are asked for only with `pin`, which gives PINs; errors as of `find_key`.
         """
         where = str(folder or name)
         missing = [each for each in NEEDED if each not in files]
         if missing:
             raise KeystoreError(f"{where} lacks {', '.join(missing)}", code=Code.FILE_MISSING)
+        keys = {each: files[each] for each in KEYS if each in files}
+        if pin is None and any(map(is_reference, keys.values())):
+            keys = {}  # one key alone would look like a missing other one
         return cls(
             name=name,
             certificate=only_certificate(files[CERTIFICATE], f"{where}/{CERTIFICATE}"),
-            private_key=_key(files, KEY, passphrase, where),
-            alternative_key=_key(files, ALT_KEY, passphrase, where),
+            private_key=_key(keys, KEY, passphrase, pin, where),
+            alternative_key=_key(keys, ALT_KEY, passphrase, pin, where),
             anchors=anchors or TrustAnchors.of(files, folder=where),
             permissions=files[PERMISSIONS],
             governance=files[GOVERNANCE],
@@ -104,9 +111,9 @@ def alternative_spki(certificate: Certificate) -> bytes | None:
 
 
 def _key(
-    files: Mapping[str, bytes], name: str, passphrase: bytes | None, where: str
+    files: Mapping[str, bytes], name: str, passphrase: bytes | None, pin: Pin | None, where: str
 ) -> PrivateKey | None:
     if name not in files:
         return None
     with located(f"{where}/{name}"):
-        return load_private_key(files[name], passphrase)
+        return key_in(files[name], passphrase, pin or stored_pin)

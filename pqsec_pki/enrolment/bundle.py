@@ -35,6 +35,7 @@ from pqsec_pki.keystore import (
     regular_name,
 )
 from pqsec_pki.problems import Code
+from pqsec_pki.tokens import is_reference
 
 KIND = "bundle"
 
@@ -87,6 +88,8 @@ class Bundle:
             name = folder.removeprefix(ENCLAVES)
             if not folder.startswith(f"{ENCLAVES}/") or name not in enclaves or file not in FILES:
                 raise MalformedError(f"a bundle must not contain {shown(path)}")
+            if file in KEYS and is_reference(content):
+                raise MalformedError(f"a bundle must not say where a key is: {shown(path)}")
             enclaves[name][file] = content
         for name, files in enclaves.items():
             _check_complete(name, files)
@@ -179,7 +182,7 @@ def _verified(
     name: str, files: Mapping[str, bytes], now: datetime, *, keys: bool
 ) -> dict[str, bytes]:
     """The files, written again; with `keys`, the private keys, which must match the certificate."""
-    private = {file: data for file, data in files.items() if file in KEYS} if keys else {}
+    private = _private(name, files) if keys else {}
     public = {file: data for file, data in files.items() if file not in KEYS}
     try:
         credentials = Credentials.of(name, {**public, **private})
@@ -189,6 +192,18 @@ def _verified(
         )
         raise
     return {**verify_credentials(credentials, now=now).files, **private}
+
+
+def _private(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
+    """The files of private keys; none if they are in a token, whose URI the robot knows itself."""
+    private = {file: data for file, data in files.items() if file in KEYS}
+    outside = [file for file, data in private.items() if is_reference(data)]
+    if outside and len(outside) < len(private):
+        raise UsageError(
+            f"{name} has one key in a token and one in a file: a bundle can bring neither",
+            hint="request it on its robot: `pqsec request --participant-key-uri`",
+        )
+    return {} if outside else private
 
 
 def _check_complete(name: str, files: Mapping[str, bytes]) -> None:

@@ -24,6 +24,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
+from pqsec_pki.tokens import Pin, stored_pin
 
 MAX_FILE = MAX_ARCHIVE + (64 << 10)
 """Bytes: more than an archive, because sealing adds to it."""
@@ -67,6 +68,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     older: bool = False,
     alone: bool = False,
     agreed: Collection[str] | None = None,
+    pin: Pin = stored_pin,
 ) -> Installed:
     """Install the bundle in file `path` into the robot's folder `root`.
 
@@ -74,7 +76,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     On a first installation `trust_first` trusts the CAs in the bundle. `older` accepts
     documents older than those installed before. Other installed participants stay, with the
     bundle's revocation list, unless `alone`. `agreed` are the participants that `alone` may
-    remove, as `removed_alone` told them; None for any.
+    remove, as `removed_alone` told them; None for any. `pin` is asked for the PIN of a token.
 
     The files are verified, and written again from the verified values. VerificationError lists
     everything that is wrong with the bundle; KeystoreError if `alone` would remove more than was
@@ -92,11 +94,12 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         newer = _raised(state, found.credentials, trusted)
         if not older:
             _refuse_older(found.credentials, newer)
-        keys = {each.name: _keys(each, bundle, store) for each in found.verified}
+        keys = {each.name: _keys(each, bundle, store, pin) for each in found.verified}
         others = {} if alone else _others(before, bundle, found)
         wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
         wanted = dict(sorted({**others, **wanted}.items()))
-        already = _NextSet(before, wanted, _numbers(before, bundle, wanted)).put(store, newer, now)
+        numbers = _numbers(before, bundle, wanted)
+        already = _NextSet(before, wanted, numbers, pin).put(store, newer, now)
         store.tidy(keys)  # also removes what a killed installation left
         return _result(found, store, bundle, already=already)
 
@@ -108,6 +111,7 @@ class _NextSet:
     before: InstalledSet | None
     enclaves: dict[str, dict[str, bytes]]
     numbers: dict[str, int]
+    pin: Pin
 
     def put(self, store: CredentialStore, trust: TrustState, now: datetime) -> bool:
         """Make it the current set, with its receipt.
@@ -117,11 +121,16 @@ class _NextSet:
         if self.before and self.before.enclaves == self.enclaves:
             store.trust(trust)
             since = self.before.at
-            store.save_receipt(receipt_of(self.enclaves, self.numbers, installed_at=since, now=now))
+            store.save_receipt(self._receipt(since, now))
             return True
-        receipt = receipt_of(self.enclaves, self.numbers, installed_at=now, now=now)
+        receipt = self._receipt(now, now)
         store.put(self.enclaves, trust, now, numbers=self.numbers, receipt=receipt)
         return False
+
+    def _receipt(self, installed_at: datetime, now: datetime) -> bytes:
+        return receipt_of(
+            self.enclaves, self.numbers, installed_at=installed_at, now=now, pin=self.pin
+        )
 
 
 def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
@@ -150,7 +159,9 @@ def _refuse_unasked(before: InstalledSet | None, bundle: Bundle, agreed: Collect
         )
 
 
-def rollback(root: Path, *, now: datetime, older: bool = False) -> InstalledSet:
+def rollback(
+    root: Path, *, now: datetime, older: bool = False, pin: Pin = stored_pin
+) -> InstalledSet:
     """Make the set before the current one current again.
 
     KeystoreError if there is none, or it cannot be read. VerificationError if its CAs are not
@@ -174,7 +185,9 @@ def rollback(root: Path, *, now: datetime, older: bool = False) -> InstalledSet:
                 with suppress(PqsecError):  # an unreadable set raises no marks
                     seen += _installed(current)
             store.trust(_raised(state, seen, pins))
-        receipt = receipt_of(earlier.enclaves, earlier.numbers, installed_at=earlier.at, now=now)
+        receipt = receipt_of(
+            earlier.enclaves, earlier.numbers, installed_at=earlier.at, now=now, pin=pin
+        )
         store.point_to(current.previous, receipt)
         return earlier
 
@@ -316,12 +329,12 @@ def _same_authorities(one: Bundle, other: Bundle) -> bool:
 
 
 def _keys(
-    verified: VerifiedCredentials, bundle: Bundle, store: CredentialStore
+    verified: VerifiedCredentials, bundle: Bundle, store: CredentialStore, pin: Pin
 ) -> Mapping[str, bytes]:
     """The private keys: from the bundle, or created or installed here before."""
     name = verified.name
     inside = {key: data for key, data in bundle.enclaves[name].items() if key in KEYS}
-    return keys_of(verified, [inside] if inside else store.keys(name))
+    return keys_of(verified, [inside] if inside else store.keys(name), pin)
 
 
 def _result(

@@ -14,7 +14,6 @@ from datetime import UTC, datetime
 
 from pqsec_pki import __version__
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials import (
     ALT_KEY,
@@ -29,6 +28,7 @@ from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, show
 from pqsec_pki.keystore import PUBLIC_FILES, RECEIPT, Receipt, regular_name
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import Signer, sign, verify
+from pqsec_pki.tokens import Pin, key_in, stored_pin
 
 STATEMENT = "receipt.p7s"
 
@@ -47,10 +47,12 @@ def receipt_of(
     *,
     installed_at: datetime,
     now: datetime,
+    pin: Pin = stored_pin,
 ) -> bytes:
     """The receipt file for the installed `enclaves`, from bundles with these `numbers`.
 
-    An enclave whose certificate or keys cannot be read, or do not match, is not in it.
+    `pin` gives the PIN of a token that has the keys. An enclave whose certificate or keys cannot
+    be read, or do not match, is not in it.
     """
     files: dict[str, bytes] = {}
     for name, installed in enclaves.items():
@@ -68,7 +70,7 @@ def receipt_of(
             pqsec=__version__,
         )
         with suppress(PqsecError, KeyError):
-            statement = _signed(receipt, installed)
+            statement = _signed(receipt, installed, pin)
             files[f"{ENCLAVES}{name}/{CERTIFICATE}"] = installed[CERTIFICATE]
             files[f"{ENCLAVES}{name}/{STATEMENT}"] = statement
     return Archive(RECEIPT, {}, files).pack()
@@ -100,10 +102,10 @@ def read_receipts(data: bytes) -> tuple[SignedReceipt, ...]:
     return tuple(found)
 
 
-def _signed(receipt: Receipt, files: Mapping[str, bytes]) -> bytes:
+def _signed(receipt: Receipt, files: Mapping[str, bytes], pin: Pin) -> bytes:
     certificate = only_certificate(files[CERTIFICATE], CERTIFICATE)
-    key = load_private_key(files[KEY])
-    second = load_private_key(files[ALT_KEY]) if ALT_KEY in files else None
+    key = key_in(files[KEY], pin=pin)
+    second = key_in(files[ALT_KEY], pin=pin) if ALT_KEY in files else None
     if problems := list(key_problems(certificate, key, second)):
         raise VerificationError(*problems)
     return sign(

@@ -1,7 +1,7 @@
 """On the robot: generate keys that never leave it, and the request for their certificate."""
 
 import secrets
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
@@ -13,17 +13,20 @@ from pqsec_pki._files import (
     sync_filesystem,
     write,
 )
-from pqsec_pki.algorithms import Profile, SealingPrivateKey, private_key_pem
+from pqsec_pki.algorithms import PrivateKey, Profile, SealingPrivateKey, SignatureAlgorithm
 from pqsec_pki.certificates import CertificateRequest, certificate_request
-from pqsec_pki.credentials import ALT_KEY, KEY
+from pqsec_pki.credentials import ALT_KEY, KEY, KEYS
 from pqsec_pki.enrolment._own_folder import DRAFT, make_private
 from pqsec_pki.enrolment.credential_store import REQUESTS, CredentialStore, changing
 from pqsec_pki.enrolment.sealed import fingerprint
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import expanded, is_several, regular_name
+from pqsec_pki.tokens import Pin, is_reference, key_file, participant_keys, stored_pin
 
 REQUEST = "request.csr"
 SEALING_KEY, SEALING_PUBLIC_KEY = "bundle.key.pem", "bundle.pub.pem"
+IN_FILE = "file"
+"""In place of a URI: the key shall be in a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,6 +36,8 @@ class Requested:
     name: str
     path: Path
     request: CertificateRequest
+    generated: frozenset[str] = frozenset()
+    """The names of key files that refer to a key that was not there before."""
 
 
 def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> Requested:
@@ -41,8 +46,14 @@ def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> 
     return made
 
 
-def requests(
-    names: Iterable[str], profile: Profile, root: Path, *, force: bool = False
+def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
+    names: Iterable[str],
+    profile: Profile,
+    root: Path,
+    *,
+    uris: Mapping[str, str] | None = None,
+    pin: Pin = stored_pin,
+    force: bool = False,
 ) -> list[Requested]:
     """Generate the keys of each participant, and the request for their certificate.
 
@@ -50,20 +61,62 @@ def requests(
     gets the answer. A pattern stands for the participants that were requested or installed here.
     UsageError for an invalid name, KeystoreError for a pattern that matches none; ExistsError if
     there is a request for one of them already, unless `force`: then none is made.
+
+    `uris` are places of keys that are not in files, or IN_FILE, by the names of the files; `pin`
+    is asked for a token's PIN. UsageError for several participants with one key, and if a key in
+    a token would be followed by one in a file; errors as of `participant_keys`.
     """
+    uris = uris or {}
+    wanted = _wanted(profile, uris)
     with changing(root) as store:
         goals = {name: store.request_folder(name) for name in _named(store, names)}
         if not force:
             for goal in goals.values():
                 refuse_existing(goal)
+        _refuse_unplaced(store, goals, uris)
         make_private(root / REQUESTS)
-        drafts = {name: _draft(name, profile, root) for name in goals}
-        sync_filesystem(root)
-        for name, (draft, _) in drafts.items():
-            _replace(store, draft, goals[name])
+        with participant_keys(wanted, pin) as outside:
+            drafts = {name: _draft(name, profile, root, outside.keys) for name in goals}
+            sync_filesystem(root)
+            for name, (draft, _) in drafts.items():
+                _replace(store, draft, goals[name])
     return [
-        Requested(name, goals[name] / REQUEST, request) for name, (_, request) in drafts.items()
+        Requested(name, goals[name] / REQUEST, request, outside.generated)
+        for name, (_, request) in drafts.items()
     ]
+
+
+def _wanted(profile: Profile, uris: Mapping[str, str]) -> dict[str, tuple[str, SignatureAlgorithm]]:
+    """What `participant_keys` takes; UsageError for a key that the profile does not have."""
+    algorithms = {KEY: profile.participant_key, ALT_KEY: profile.alternative_key}
+    found = {}
+    for file, uri in uris.items():
+        algorithm = algorithms[file]
+        if algorithm is None:
+            raise UsageError(f"participants of profile {profile.name} have no alternative key")
+        if uri != IN_FILE:
+            found[file] = uri, algorithm
+    return found
+
+
+def _refuse_unplaced(
+    store: CredentialStore, names: Collection[str], uris: Mapping[str, str]
+) -> None:
+    """UsageError if one key is for several, or one in a token would be followed by a file."""
+    if len(names) > 1 and set(uris.values()) - {IN_FILE}:
+        raise UsageError(
+            f"one key is named for {len(names)} participants",
+            hint="request them one by one, each with a URI of its own",
+        )
+    for name in names:
+        before = next(filter(None, store.keys(name)), {})
+        outside = [file for file, data in before.items() if file in KEYS and is_reference(data)]
+        if any(file not in uris for file in outside):
+            raise UsageError(
+                f"a key of {name} is in a token, and its new one would lie in a file",
+                hint="name the new key's place: --participant-key-uri (--alt-key-uri) URI; the"
+                f" same URI keeps the key, `{IN_FILE}` puts it into a file",
+            )
 
 
 def _named(store: CredentialStore, names: Iterable[str]) -> list[str]:
@@ -76,16 +129,19 @@ def _named(store: CredentialStore, names: Iterable[str]) -> list[str]:
         raise
 
 
-def _draft(name: str, profile: Profile, root: Path) -> tuple[Path, CertificateRequest]:
-    """The new keys and their request, in a folder that `sweep` removes if this is killed."""
-    key, second = profile.participant_key.generate(), profile.alternative_key
-    alternative = second.generate() if second else None
+def _draft(
+    name: str, profile: Profile, root: Path, outside: Mapping[str, PrivateKey]
+) -> tuple[Path, CertificateRequest]:
+    """The keys and their request, in a folder that `sweep` removes if this is killed."""
+    key, second = outside.get(KEY), profile.alternative_key
+    key = key or profile.participant_key.generate()
+    alternative = outside.get(ALT_KEY) or (second.generate() if second else None)
     made = certificate_request(name, key, alternative)
     draft = root / f"{DRAFT}{secrets.token_hex(8)}"
     make_private(draft)
-    create(draft / KEY, private_key_pem(key), mode=PRIVATE_MODE)
+    create(draft / KEY, key_file(key), mode=PRIVATE_MODE)
     if alternative:
-        create(draft / ALT_KEY, private_key_pem(alternative), mode=PRIVATE_MODE)
+        create(draft / ALT_KEY, key_file(alternative), mode=PRIVATE_MODE)
     create(draft / REQUEST, made.pem, mode=PUBLIC_MODE)
     return draft, made
 

@@ -5,11 +5,9 @@ the room `credentials` verifies everything else.
 """
 
 from collections.abc import Iterable, Mapping
-from contextlib import suppress
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import PrivateKey, load_private_key
 from pqsec_pki.credentials import (
     ALT_KEY,
     KEY,
@@ -23,6 +21,7 @@ from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.trust import Pins, pin_problems, pins_in
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code
+from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,22 +69,28 @@ def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundl
 
 
 def keys_of(
-    credentials: VerifiedCredentials, candidates: Iterable[Mapping[str, bytes]]
+    credentials: VerifiedCredentials,
+    candidates: Iterable[Mapping[str, bytes]],
+    pin: Pin = stored_pin,
 ) -> Mapping[str, bytes]:
     """The first of `candidates` (files by name) with the private keys of the certificate.
 
-    VerificationError if none of them has the keys.
+    Keys in tokens are asked for. VerificationError if none of them has the keys; PqsecError if
+    a token that may have them cannot be used.
     """
     certificate = credentials.certificate
     second = alternative_spki(certificate)
+    wanted = {KEY: certificate.spki} | ({ALT_KEY: second} if second else {})
+    unusable: PqsecError | None = None
     for files in candidates:
-        key, other = _key(files, KEY), _key(files, ALT_KEY)
-        if key is None or key.public_key.spki != certificate.spki:
-            continue
-        if second is None:
-            return {KEY: files[KEY]}
-        if other is not None and other.public_key.spki == second:
-            return {KEY: files[KEY], ALT_KEY: files[ALT_KEY]}
+        try:
+            if all(_has(files, file, spki, pin) for file, spki in wanted.items()):
+                return {file: files[file] for file in wanted}
+        except PqsecError as error:
+            if any(map(is_reference, files.values())):
+                unusable = unusable or error
+    if unusable:
+        raise unusable
     raise VerificationError(
         f"{credentials.name}: no private key here matches the certificate",
         code=Code.KEY_MISMATCH,
@@ -93,7 +98,5 @@ def keys_of(
     )
 
 
-def _key(files: Mapping[str, bytes], name: str) -> PrivateKey | None:
-    with suppress(PqsecError):
-        return load_private_key(files[name]) if name in files else None
-    return None
+def _has(files: Mapping[str, bytes], file: str, spki: bytes, pin: Pin) -> bool:
+    return file in files and key_in(files[file], pin=pin).public_key.spki == spki

@@ -51,7 +51,6 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
         Authorities,
-        ca_key_file,
         check_pair,
         key_algorithms,
         load_ca_key,
@@ -128,7 +127,6 @@ __all__ = [
     "Transaction",
     "audit",
     "bundle_number",
-    "ca_key_file",
     "certificate_entry",
     "change",
     "check_pair",

@@ -8,13 +8,10 @@ from typing import Self, TypeVar
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import (
-    ExternalKey,
     PrivateKey,
     Profile,
     PublicKey,
     SignatureAlgorithm,
-    load_private_key,
-    private_key_pem,
 )
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.errors import (
@@ -31,7 +28,7 @@ from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import Signer, sign
-from pqsec_pki.tokens import Pin, find_key, is_reference, no_pin, reference_to, uri_in
+from pqsec_pki.tokens import Pin, is_reference, key_file, key_in, stored_pin
 
 Done = TypeVar("Done")
 Item = TypeVar("Item")
@@ -131,7 +128,7 @@ class Authorities:
     def write_keys(self, private: StagedFolder, passphrase: bytes | None) -> None:
         """Stage the keys, encrypted under `passphrase`; not encrypted for None."""
         keys = list(_keys(self))
-        pems = _each(lambda item: ca_key_file(item[1], passphrase), keys, passphrase)
+        pems = _each(lambda item: key_file(item[1], passphrase), keys, passphrase)
         for (name, _), pem in zip(keys, pems, strict=True):
             private.private(name, pem)
 
@@ -237,13 +234,6 @@ def _refuse_unfit(wanted: Mapping[str, SignatureAlgorithm], keys: Mapping[str, P
         )
 
 
-def ca_key_file(key: PrivateKey, passphrase: bytes | None) -> bytes:
-    """The file of a CA's key: encrypted under `passphrase`, or a reference if it is elsewhere."""
-    if isinstance(key, ExternalKey):
-        return reference_to(key.uri)
-    return private_key_pem(key, passphrase)
-
-
 def read_ca_key(path: Path) -> bytes:
     """The file of a CA's private key; KeystoreError if it is missing, FileError if unreadable."""
     try:
@@ -266,14 +256,12 @@ def load_ca_key(path: Path, passphrase: bytes | None, pin: Pin | None = None) ->
     PassphraseError if `passphrase` or the PIN is wrong. Errors as of `read_ca_key` and `find_key`.
     """
     data = read_ca_key(path)
-    if is_reference(data):
-        with located(path):
-            return find_key(uri_in(data), pin or no_pin)
     try:
         with located(path):
-            return load_private_key(data, passphrase)
+            return key_in(data, passphrase, pin or stored_pin)
     except PassphraseError as error:
-        error.hint = "give the CA passphrase: --passphrase-file, or at the prompt"
+        if not is_reference(data):
+            error.hint = "give the CA passphrase: --passphrase-file, or at the prompt"
         raise
 
 

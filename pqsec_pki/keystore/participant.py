@@ -10,17 +10,18 @@ from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_certifi
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
 from pqsec_pki.keystore import layout
 from pqsec_pki.problems import Code
+from pqsec_pki.tokens import stored_pin
 
 
 def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> Credentials:
-    """The participant called `name` in the keystore at `root`, with its keys.
+    """The participant called `name` in the keystore at `root`, with its keys, also in tokens.
 
     KeystoreError if there is none or a file is missing, MalformedError for a file that
     cannot be read, PassphraseError for an encrypted key without `passphrase`.
     """
     folder = root / layout.enclave_folder(name)
     files = _files(root, name, (*NEEDED, layout.KEY))
-    return Credentials.of(name, files, passphrase, folder=folder)
+    return Credentials.of(name, files, passphrase, pin=stored_pin, folder=folder)
 
 
 def enclave_files(root: Path, name: str) -> dict[str, bytes]:

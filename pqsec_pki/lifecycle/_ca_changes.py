@@ -16,7 +16,6 @@ from pqsec_pki.keystore import (
     Overlap,
     Phase,
     Transaction,
-    ca_key_file,
     certificate_entry,
     check_pair,
     layout,
@@ -25,7 +24,7 @@ from pqsec_pki.keystore import (
     trust_file,
 )
 from pqsec_pki.lifecycle.rollover import RolloverPlan
-from pqsec_pki.tokens import Pin
+from pqsec_pki.tokens import Pin, key_file
 
 Keys = Mapping[str, PrivateKey] | None
 """Keys of new CAs that are there already, by the names of their files."""
@@ -91,7 +90,7 @@ def begin_overlap(  # noqa: PLR0913 -- what a rollover has, by name
     private = transaction.folder(layout.PRIVATE, private=True)
     for name, key in ((layout.NEXT_KEY, new.key), (layout.NEXT_ALT_KEY, new.alternative_key)):
         if key:
-            private.private(name, ca_key_file(key, passphrase))
+            private.private(name, key_file(key, passphrase))
     if plan.drop_list:
         _drop_list(keystore, transaction)
     _link_all(keystore, transaction)

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.tokens.keys import find_key, made_keys
-    from pqsec_pki.tokens.pin import Pin, no_pin
+    from pqsec_pki.tokens.keys import find_key, key_file, key_in, made_keys, participant_keys
+    from pqsec_pki.tokens.pin import Pin, stored_pin
     from pqsec_pki.tokens.reference import is_reference, reference_to, uri_in
     from pqsec_pki.tokens.uri import KeyUri
 else:
@@ -23,8 +23,11 @@ __all__ = [
     "Pin",
     "find_key",
     "is_reference",
+    "key_file",
+    "key_in",
     "made_keys",
-    "no_pin",
+    "participant_keys",
     "reference_to",
+    "stored_pin",
     "uri_in",
 ]

@@ -18,6 +18,7 @@ from pqsec_pki._processes import stay_alone
 from pqsec_pki.algorithms import ExternalKey, SignatureAlgorithm, load_public_key
 from pqsec_pki.errors import PassphraseError, PqsecError, UsageError
 from pqsec_pki.tokens._key_types import KEY_TYPES, KeyType, key_type_of, template
+from pqsec_pki.tokens.pin import VARIABLE as PIN_VARIABLE
 from pqsec_pki.tokens.pin import Pin, pin_in
 from pqsec_pki.tokens.uri import KeyUri
 
@@ -51,9 +52,19 @@ class Login:
     session: Any = None
     lock: threading.RLock = field(default_factory=threading.RLock)
 
-    def open(self) -> None:
-        """Log in. PassphraseError for a wrong PIN, PqsecError if the token is not there."""
+    def open(self, *, typed: bool) -> None:
+        """Log in. PassphraseError for a wrong PIN, PqsecError if the token is not there.
+
+        A PIN that nobody has just `typed` is not tried after a wrong one, by whatever process:
+        what starts again and again would lock the token.
+        """
         token = _token(self.uri)
+        if not typed and pkcs11.TokenFlag.USER_PIN_COUNT_LOW in token.flags:
+            raise PassphraseError(
+                f"the last PIN for the {self.uri.place} was wrong, so the stored one is not tried",
+                hint="correct the file with it, then log in once by hand: without"
+                f" {PIN_VARIABLE} pqsec asks for it; or `pkcs11-tool --login --list-objects`",
+            )
         with _as_errors(self.uri):
             try:
                 self.session = token.open(rw=True, user_pin=self.pin)
@@ -71,14 +82,15 @@ class Login:
             try:
                 return work(self.session)
             except gone:
-                self.open()
+                self.open(typed=False)
                 return work(self.session)
 
 
 _Place = tuple[str | None, str | None]
 _logins: dict[_Place, Login] = {}
 _refused: dict[_Place, str] = {}
-"""PINs that were wrong, which must not be tried again: few tries lock a token."""
+"""PINs that were wrong, which must not be tried again: few tries lock a token. Not every token says
+so itself."""
 _opening = threading.Lock()
 
 
@@ -89,16 +101,17 @@ def login(uri: KeyUri, pin: Pin) -> Login:
         if place not in _logins:
             token = _token(uri)
             secret = pin_in(uri.pin_source) if uri.pin_source else pin(token.label)
-            _logins[place] = _opened(uri, place, secret)
+            typed = not (uri.pin_source or os.environ.get(PIN_VARIABLE))
+            _logins[place] = _opened(uri, place, secret, typed=typed)
         return _logins[place]
 
 
-def _opened(uri: KeyUri, place: _Place, secret: str) -> Login:
+def _opened(uri: KeyUri, place: _Place, secret: str, *, typed: bool) -> Login:
     if _refused.get(place) == secret:
         raise PassphraseError(f"wrong PIN for the {uri.place}")
     made = Login(uri, secret)
     try:
-        made.open()
+        made.open(typed=typed)
     except PassphraseError:
         _refused[place] = secret
         raise

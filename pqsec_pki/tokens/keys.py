@@ -1,18 +1,25 @@
-"""Keys by their URIs: found, or made for new CAs."""
+"""Keys by their URIs: found, or made for new CAs and participants."""
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, suppress
 from types import ModuleType
 from typing import NamedTuple
 
-from pqsec_pki.algorithms import ExternalKey, SignatureAlgorithm
+from pqsec_pki.algorithms import (
+    ExternalKey,
+    PrivateKey,
+    SignatureAlgorithm,
+    load_private_key,
+    private_key_pem,
+)
 from pqsec_pki.errors import PqsecError, UsageError
 from pqsec_pki.tokens import _signers
-from pqsec_pki.tokens.pin import Pin, no_pin
+from pqsec_pki.tokens.pin import Pin, stored_pin
+from pqsec_pki.tokens.reference import is_reference, reference_to, uri_in
 from pqsec_pki.tokens.uri import SCHEME, KeyUri
 
 
-def find_key(uri: str, pin: Pin = no_pin) -> ExternalKey:
+def find_key(uri: str, pin: Pin = stored_pin) -> ExternalKey:
     """The key with that URI.
 
     UsageError if it is not a URI of a key, PqsecError if the key is not there or cannot be used,
@@ -30,8 +37,26 @@ def find_key(uri: str, pin: Pin = no_pin) -> ExternalKey:
     return found
 
 
+def key_in(data: bytes, passphrase: bytes | None = None, pin: Pin = stored_pin) -> PrivateKey:
+    """The private key in the content of a file, or in the place that it refers to.
+
+    Errors as of `load_private_key` and `find_key`.
+    """
+    return find_key(uri_in(data), pin) if is_reference(data) else load_private_key(data, passphrase)
+
+
+def key_file(key: PrivateKey, passphrase: bytes | None = None) -> bytes:
+    """The content of a private key's file: a reference if the key is elsewhere.
+
+    Else the key, encrypted under `passphrase` if there is one.
+    """
+    if isinstance(key, ExternalKey):
+        return reference_to(key.uri)
+    return private_key_pem(key, passphrase)
+
+
 class MadeKeys(NamedTuple):
-    """Keys for new CAs, by the names that the caller gave."""
+    """Keys by the names that the caller gave."""
 
     keys: dict[str, ExternalKey]
     generated: frozenset[str]
@@ -40,9 +65,9 @@ class MadeKeys(NamedTuple):
 
 @contextmanager
 def made_keys(
-    wanted: Mapping[str, tuple[str, SignatureAlgorithm]], pin: Pin = no_pin
+    wanted: Mapping[str, tuple[str, SignatureAlgorithm]], pin: Pin = stored_pin
 ) -> Iterator[MadeKeys]:
-    """The keys of new CAs: for each name the key with that URI and of that algorithm.
+    """The keys of new CAs or of a participant: for each name the one with that URI and algorithm.
 
     A key that its token does not have is generated there; such keys are removed again if the
     block fails. Errors as of `find_key`; UsageError also for a key of another algorithm.
@@ -50,7 +75,8 @@ def made_keys(
     uris = [uri for uri, _ in wanted.values()]
     if len({*uris}) < len(uris):
         raise UsageError(
-            "one key for two CAs: with it, a participant's key could sign permissions",
+            "one key is named twice: with one key for two CAs, a participant's key could sign"
+            " permissions",
             hint="give each key a URI of its own (CVE-2023-24010)",
         )
     made: dict[str, KeyUri] = {}
@@ -67,6 +93,17 @@ def made_keys(
             with suppress(PqsecError):  # the first error is the one to tell
                 _pkcs11().destroy(each, pin)
         raise
+
+
+@contextmanager
+def participant_keys(
+    wanted: Mapping[str, tuple[str, SignatureAlgorithm]], pin: Pin = stored_pin
+) -> Iterator[MadeKeys]:
+    """As `made_keys`. UsageError also for an algorithm with which tokens sign no handshakes."""
+    for _, algorithm in wanted.values():
+        algorithm.refuse_own_handshakes()
+    with made_keys(wanted, pin) as made:
+        yield made
 
 
 def _found(uri: str, algorithm: SignatureAlgorithm, pin: Pin) -> ExternalKey | None:

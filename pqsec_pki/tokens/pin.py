@@ -1,5 +1,6 @@
 """Where the PIN of a token comes from: never from a URI, an argument or the ledger."""
 
+import os
 from collections.abc import Callable
 from pathlib import Path
 
@@ -8,15 +9,18 @@ from pqsec_pki.errors import PassphraseError
 
 Pin = Callable[[str], str]
 """Gives the PIN of the token with that label, or raises PassphraseError."""
+VARIABLE = "PQSEC_PIN_FILE"
 MAX_FILE = 4096
 """Bytes."""
 
 
-def no_pin(token: str) -> str:
-    """For whoever can ask nobody: PassphraseError."""
+def stored_pin(token: str) -> str:
+    """The PIN in the file that PQSEC_PIN_FILE names, for whoever can ask nobody."""
+    if file := os.environ.get(VARIABLE):
+        return pin_in(Path(file))
     raise PassphraseError(
-        f"the token '{token}' needs a PIN",
-        hint="name a file with it in the key's URI: ?pin-source=file:/path",
+        f"the token '{token}' needs a PIN, and there is no terminal to ask for it",
+        hint=f"name a file with it in {VARIABLE}, or in the key's URI: ?pin-source=file:/path",
     )
 
 

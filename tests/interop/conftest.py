@@ -28,6 +28,7 @@ from tests.interop.fastdds_shim import FastDdsShim, build, find_compiler
 from tests.interop.nodes import Nodes, compiled
 from tests.interop.roots import ROOTS
 from tests.interop.ros2 import Ros2
+from tests.interop.tokens import SOFTHSM, SPY, Token
 
 YEAR = timedelta(days=365)
 DOMAINS = DomainSet.of(DomainRange(first=0, last=10))
@@ -225,6 +226,14 @@ def openssl(requires) -> OpenSSL:
     """The system's OpenSSL, which the system's DDS stacks use too."""
     path = requires(shutil.which("openssl"), "openssl", "apt-get install openssl")
     return requires(OpenSSL.at(path), "openssl", "what is installed is something else")
+
+
+@pytest.fixture
+def token(requires, tmp_path) -> Token:
+    """A new token of SoftHSM."""
+    requires(SOFTHSM if SOFTHSM.exists() else None, "SoftHSM", "apt-get install softhsm2")
+    requires(SPY, "OpenSC", "apt-get install opensc opensc-pkcs11")
+    return Token.softhsm(tmp_path)
 
 
 @pytest.fixture(scope="session")

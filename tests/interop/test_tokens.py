@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.interop.cyclone import participant
-from tests.interop.tokens import PIN, SOFTHSM, SPY, Token
+from tests.interop.tokens import PIN, SPY, Token
 from tests.longer import LONG
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
@@ -20,14 +20,6 @@ IDENTITY = "pkcs11:token=lab;object=identity-ca"
 PERMISSIONS = "pkcs11:token=lab;object=permissions-ca"
 BOTH = ("--identity-key-uri", IDENTITY, "--permissions-key-uri", PERMISSIONS)
 RSA = ("--identity-key", "rsa-2048", "--permissions-key", "rsa-2048")
-
-
-@pytest.fixture
-def token(requires, tmp_path):
-    """A new token of SoftHSM."""
-    requires(SOFTHSM if SOFTHSM.exists() else None, "SoftHSM", "apt-get install softhsm2")
-    requires(SPY, "OpenSC", "apt-get install opensc opensc-pkcs11")
-    return Token.softhsm(tmp_path)
 
 
 def created(token, *options, profile="classical"):
@@ -148,7 +140,12 @@ def test_a_wrong_pin_is_tried_once(token):
     }
     said = token.pqsec("issue", "talker", exit_code=3, PQSEC_PIN_FILE=str(wrong), **spied)
     assert "wrong PIN for the token 'lab'" in said
+    said = token.pqsec("issue", "talker", exit_code=3, PQSEC_PIN_FILE=str(wrong), **spied)
+    assert "so the stored one is not tried" in said
     assert len(re.findall(r"^\d+: C_Login$", log.read_text(), re.MULTILINE)) == 1
+    token.pqsec("issue", "talker", exit_code=3)
+    token.objects()  # a person logs in
+    token.pqsec("issue", "talker")
 
 
 def test_many_are_issued_with_one_login(token):

@@ -2,6 +2,7 @@
 
 import base64
 from contextlib import suppress
+from dataclasses import replace
 
 import pytest
 from hypothesis import given
@@ -9,9 +10,10 @@ from hypothesis import strategies as st
 
 from pqsec_pki._asn1 import KeyReference, encode, raw
 from pqsec_pki.algorithms import pem
+from pqsec_pki.enrolment import Bundle
 from pqsec_pki.errors import MalformedError, UsageError
 from pqsec_pki.tokens import KeyUri, is_reference, reference_to, uri_in
-from tests.unit.keystores import made
+from tests.unit.keystores import NOW, made
 
 LAB = "pkcs11:token=lab;object=identity-ca"
 
@@ -121,3 +123,22 @@ def test_a_damaged_reference_in_a_keystore_is_named(tmp_path):
     with pytest.raises(MalformedError) as refused:
         _ = keystore.key_uris
     assert refused.value.where == str(path)
+
+
+def test_a_bundle_never_says_where_a_key_is(tmp_path):
+    """Who changes a bundle could have the robot give a PIN to a token of his choice."""
+    keystore = made(tmp_path / "k", "classical")
+    (keystore.root / "enclaves/talker/key.pem").write_bytes(reference_to(LAB))
+    bundle = Bundle.of(keystore, ["/talker"], now=NOW)
+    assert not bundle.has_keys
+    for file in ("key.pem", "alt.key.pem"):
+        changed = {"/talker": {**bundle.enclaves["/talker"], file: reference_to(LAB)}}
+        with pytest.raises(MalformedError, match="must not say where a key is"):
+            Bundle.from_bytes(replace(bundle, enclaves=changed).to_bytes())
+
+
+def test_a_bundle_for_a_key_in_a_token_and_one_in_a_file_is_refused(tmp_path):
+    keystore = made(tmp_path / "k", "transition")
+    (keystore.root / "enclaves/talker/key.pem").write_bytes(reference_to(LAB))
+    with pytest.raises(UsageError, match="one key in a token and one in a file"):
+        Bundle.of(keystore, ["/talker"], now=NOW)

@@ -44,7 +44,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "smime": {"algorithms", "certificates"},
     "access": {"documents"},
     "handshake": {"algorithms", "certificates", "smime"},
-    "credentials": {"algorithms", "certificates", "smime", "documents", "access"},
+    "credentials": {"algorithms", "certificates", "smime", "documents", "access", "tokens"},
     "keystore": {"algorithms", "certificates", "smime", "documents", "credentials", "tokens"},
     "lifecycle": {
         *("algorithms", "certificates", "smime", "documents", "credentials", "keystore"),

@@ -1,0 +1,156 @@
+"""A robot's key in a real PKCS#11 token: its request, and the installation of the answer."""
+
+import pytest
+
+from tests.interop.tokens import PIN
+
+pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
+
+URI = "pkcs11:token=lab;object=robot"
+IN_TOKEN = ("--participant-key-uri", URI)
+CSR = "credentials/requests/robot/request.csr"
+
+
+@pytest.fixture
+def ca(token):
+    """The token, beside the keystore of a CA whose own keys are in files."""
+    token.pqsec("ca", "init", "--profile", "classical", "--no-passphrase")
+    return token
+
+
+def requested(token, *options, exit_code=0, profile="classical", **variables):
+    words = ("request", "robot", "--profile", profile, *options)
+    return token.pqsec(*words, exit_code=exit_code, **variables)
+
+
+def issued(token, *options):
+    token.pqsec("issue", "--csr", CSR, "robot", "--publish", "chatter", *options)
+
+
+def installed(token, *options, exit_code=0, **variables):
+    return token.pqsec("install", "robot.bundle", *options, exit_code=exit_code, **variables)
+
+
+def in_use(token):
+    return token.folder / "credentials/current/enclaves/robot"
+
+
+def test_a_key_in_the_robots_token_is_requested_certified_and_installed(ca, openssl):
+    assert f"{URI} was generated" in requested(ca, *IN_TOKEN)
+    openssl("req", "-verify", "-noout", "-in", ca.folder / CSR)
+    issued(ca)
+    installed(ca, "--trust-first")
+    openssl(
+        "verify", "-CAfile", ca.folder / "k/public/identity_ca.cert.pem", in_use(ca) / "cert.pem"
+    )
+    assert "recorded" in ca.pqsec("receipt", "import", "credentials/installed.receipt")
+
+    content = (in_use(ca) / "key.pem").read_text()
+    assert content.startswith("-----BEGIN PKCS#11 PROVIDER URI-----\n")
+    [private] = ca.objects().split("Private Key Object")[1:]
+    assert "never extractable" in private
+    assert "sensitive" in private
+
+
+def test_neither_the_key_nor_the_pin_is_in_a_file_or_an_output(ca):
+    said = requested(ca, *IN_TOKEN)
+    issued(ca)
+    said += installed(ca, "--trust-first") + ca.pqsec("log")
+    files = [path for path in (ca.folder / "credentials").rglob("*") if path.is_file()]
+    files += [ca.folder / "robot.bundle"]
+    assert PIN not in said
+    assert not [path for path in files if PIN.encode() in path.read_bytes()]
+    assert not [path for path in files if b"PRIVATE KEY" in path.read_bytes()]
+
+
+def test_a_key_that_is_there_is_used_and_stays_when_the_request_fails(ca):
+    as_user = ("--token-label", "lab", "--login", "--pin", PIN)
+    ca.tool(*as_user, "--keypairgen", "--key-type", "EC:prime256v1", "--label", "robot")
+    assert f"{URI} was there already" in requested(ca, *IN_TOKEN)
+    requested(ca, *IN_TOKEN, exit_code=3)  # there is a request
+    assert ca.objects().count("Private Key Object") == 1
+
+
+def test_a_key_that_was_made_is_removed_if_the_request_is_not(ca):
+    name = "a" * 70  # does not fit into a certificate
+    said = ca.pqsec("request", name, "--profile", "classical", *IN_TOKEN, exit_code=2)
+    assert "64 characters" in said
+    assert ca.objects() == ""
+    assert not list((ca.folder / "credentials").rglob("*.pem"))
+
+
+@pytest.mark.parametrize(
+    ("options", "profile", "words"),
+    [
+        (("--participant-key", "rsa-2048"), "classical", "a token cannot sign handshakes"),
+        ((), "hybrid", "no token signs as"),
+        (("--alt-key-uri", f"{URI}2"), "classical", "have no alternative key"),
+        (("second",), "classical", "one key is named for 2 participants"),
+    ],
+)
+def test_what_a_token_cannot_do_is_refused_before_it_makes_a_key(ca, options, profile, words):
+    assert words in requested(ca, *IN_TOKEN, *options, profile=profile, exit_code=2)
+    assert ca.objects() == ""
+
+
+def test_a_new_key_follows_into_the_token_or_the_command_refuses(ca):
+    requested(ca, *IN_TOKEN)
+    issued(ca)
+    installed(ca, "--trust-first")
+    said = requested(ca, exit_code=2)
+    assert "its new one would lie in a file" in said
+    assert not (ca.folder / CSR).exists()
+
+    first = (in_use(ca) / "cert.pem").read_bytes()
+    requested(ca, "--participant-key-uri", f"{URI}-2")
+    issued(ca, "--force")
+    installed(ca)
+    assert (in_use(ca) / "cert.pem").read_bytes() != first
+    assert ca.objects().count("Private Key Object") == 2, "the old key stays in the token"
+    requested(ca, "--participant-key-uri", "file")
+    issued(ca, "--force")
+    installed(ca)
+    assert "BEGIN PRIVATE KEY" in (in_use(ca) / "key.pem").read_text()
+
+
+def test_the_same_key_is_certified_again(ca):
+    requested(ca, *IN_TOKEN)
+    issued(ca)
+    installed(ca, "--trust-first")
+    ca.pqsec("renew", "robot")
+    ca.pqsec("bundle", "robot", "--force")
+    assert "installed" in installed(ca)
+    assert ca.objects().count("Private Key Object") == 1
+
+
+def test_a_second_key_may_stay_in_a_file(token):
+    token.pqsec("ca", "init", "--profile", "transition", "--no-passphrase")
+    requested(token, *IN_TOKEN, profile="transition")
+    issued(token)
+    installed(token, "--trust-first")
+    assert "PROVIDER URI" in (in_use(token) / "key.pem").read_text()
+    assert "BEGIN PRIVATE KEY" in (in_use(token) / "alt.key.pem").read_text()
+    token.pqsec("receipt", "import", "credentials/installed.receipt")
+
+
+def test_installing_without_the_token_is_refused_and_changes_nothing(ca):
+    requested(ca, *IN_TOKEN)
+    issued(ca)
+    (ca.folder / "tokens").rename(ca.folder / "elsewhere")
+    (ca.folder / "tokens").mkdir()
+    assert "the token 'lab' is not there" in installed(ca, "--trust-first", exit_code=3)
+    assert not in_use(ca).exists()
+    (ca.folder / "tokens").rmdir()
+    (ca.folder / "elsewhere").rename(ca.folder / "tokens")
+    installed(ca, "--trust-first")
+
+
+def test_a_token_with_another_key_under_that_name_is_refused(ca):
+    requested(ca, *IN_TOKEN)
+    issued(ca)
+    as_user = ("--token-label", "lab", "--login", "--pin", PIN)
+    for kind in ("privkey", "pubkey"):
+        ca.tool(*as_user, "--delete-object", "--type", kind, "--label", "robot")
+    ca.tool(*as_user, "--keypairgen", "--key-type", "EC:prime256v1", "--label", "robot")
+    said = installed(ca, "--trust-first", exit_code=1)
+    assert "no private key here matches the certificate" in said
