@@ -21,7 +21,7 @@ _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#
 """Those of Okabe and Ito, which the colour-blind can tell apart."""
 _STYLES = ("-", "--", ":", "-.")
 _COLUMNS = 3
-_MESSAGES = ("request", "reply", "final")
+_SIDES, _MESSAGES = ("initiator", "responder"), ("request", "reply", "final")
 _KILO = 1000
 _RC: Any = {"svg.fonttype": "none", "svg.hashsalt": "pqsec", "font.size": 9, "legend.fontsize": 7}
 _COSTS = (
@@ -37,25 +37,19 @@ def suites_svg(suites: Sequence[Mapping[str, Any]]) -> bytes:
     names = [_suite(each) for each in suites]
     figure = Figure(figsize=(9, 1.2 + 0.4 * len(suites)), layout="constrained")
     times, sizes = figure.subplots(1, 2, sharey=True)
-    _bars(
-        times,
-        names,
-        {
-            side: [each["wall_ms"][side]["p50"] for each in suites]
-            for side in ("initiator", "responder")
-        },
-    )
-    middle = [each["wall_ms"]["handshake"]["p50"] for each in suites]
-    late = [each["wall_ms"]["handshake"]["p95"] for each in suites]
-    above = [max(0.0, p95 - p50) for p50, p95 in zip(middle, late, strict=True)]
+    wall = [each["wall_ms"] for each in suites]
+    _bars(times, names, {side: [each[side]["p50"] for each in wall] for side in _SIDES})
+    middle = [each["handshake"]["p50"] for each in wall]
+    above = [max(0.0, each["handshake"]["p95"] - each["handshake"]["p50"]) for each in wall]
     times.errorbar(middle, names, xerr=[[0] * len(names), above], fmt="none", ecolor="#444")
     times.set_xlabel("milliseconds: medians, whisker to 95 %")
+    tokens = zip(*(each["token_bytes"] for each in suites), strict=True)
     _bars(
         sizes,
         names,
         {
-            name: [each["token_bytes"][index] / _KILO for each in suites]
-            for index, name in enumerate(_MESSAGES)
+            name: [size / _KILO for size in of_all]
+            for name, of_all in zip(_MESSAGES, tokens, strict=True)
         },
     )
     sizes.set_xlabel("kilobytes of the messages")
@@ -70,31 +64,37 @@ def meetings_svg(rows: Iterable[Row]) -> bytes:
     `rows` have the keys MESH_COLUMNS. Each panel is one kind of hosts; a line that ends below 1
     says that some did not meet.
     """
+    shares = _shares(rows)
+    panels = defaultdict[Case, list[Case]](list)
+    for case in shares:
+        panels[case[1:]].append(case)
+    figure, every = _panels(len(panels))
+    for axes, (panel, cases) in zip(every, panels.items(), strict=False):
+        for number, case in enumerate(sorted(cases, key=lambda each: float(each[0]))):
+            axes.step(
+                *zip(*shares[case], strict=True),
+                where="post",
+                color=_COLOURS[number % len(_COLOURS)],
+                linestyle=_STYLES[number % len(_STYLES)],
+                label=f"{float(case[0]):.0%} loss",
+            )
+        _finish(axes, _title(panel), "seconds", "share of pairs that have met")
+        axes.set_ylim(0, 1.02)
+    return _written(figure)
+
+
+def _shares(rows: Iterable[Row]) -> dict[Case, list[tuple[float, float]]]:
+    """For each case (time, share of pairs that have met by then), in order."""
     meetings, pairs = defaultdict[Case, list[float]](list), defaultdict[Case, int](int)
     for row in rows:
         if row["measure"] == "met_s":
             meetings[_case(row)].append(float(row["value"]))
         elif row["measure"] == "complete":
             pairs[_case(row)] += int(row["hosts"]) * (int(row["hosts"]) - 1)
-    panels = defaultdict[Case, list[Case]](list)
-    for case in pairs:
-        panels[case[1:]].append(case)
-    figure, axes = _panels(len(panels))
-    for place, (panel, cases) in zip(axes, panels.items(), strict=False):
-        for number, case in enumerate(sorted(cases, key=lambda each: float(each[0]))):
-            times = sorted(meetings[case])
-            shares = [(index + 1) / pairs[case] for index in range(len(times))]
-            place.step(
-                [0.0, *times],
-                [0.0, *shares],
-                where="post",
-                color=_COLOURS[number % len(_COLOURS)],
-                linestyle=_STYLES[number % len(_STYLES)],
-                label=f"{float(case[0]):.0%} loss",
-            )
-        _finish(place, _title(panel), "seconds", "share of pairs that have met")
-        place.set_ylim(0, 1.02)
-    return _written(figure)
+    return {
+        case: [(time, index / count) for index, time in enumerate((0.0, *sorted(meetings[case])))]
+        for case, count in pairs.items()
+    }
 
 
 @mpl.rc_context(_RC)
@@ -113,12 +113,12 @@ def hosts_svg(rows: Iterable[Row]) -> bytes:
             for name, _ in _COSTS:
                 found[name][case][hosts].append(totals[name] or 0)
     figure = Figure(figsize=(12, 5), layout="constrained")
-    for place, (name, label) in zip(figure.subplots(1, len(_COSTS)), _COSTS, strict=True):
+    for axes, (name, label) in zip(figure.subplots(1, len(_COSTS)), _COSTS, strict=True):
         several = {case: each for case, each in found[name].items() if len(each) > 1}
         for number, (case, by_hosts) in enumerate(several.items()):
-            _ranges(place, number, case, by_hosts)
-        _finish(place, "", "hosts", label, legend=False)
-    figure.legend(*place.get_legend_handles_labels(), loc="outside lower center", ncols=_COLUMNS)
+            _ranges(axes, number, case, by_hosts)
+        _finish(axes, "", "hosts", label, legend=False)
+    figure.legend(*axes.get_legend_handles_labels(), loc="outside lower center", ncols=_COLUMNS)
     return _written(figure)
 
 
@@ -127,19 +127,19 @@ def _totals(rows: Iterable[Row]) -> Iterator[tuple[Case, int, dict[str, float | 
     runs = defaultdict[tuple[Case, int, str], dict[str, float | None]](dict)
     for row in rows:
         if row.get("run") not in (None, "") and row.get("host") in (None, ""):
-            key = (_line(row), int(row["hosts"]), str(row["run"]))
+            key = (_case_of_any_number(row), int(row["hosts"]), str(row["run"]))
             value = row["value"]
             runs[key][row["measure"]] = None if value in (None, "") else float(value)
     for (case, hosts, _), totals in runs.items():
         yield case, hosts, totals
 
 
-def _ranges(place: Axes, number: int, case: Case, by_hosts: Mapping[int, Sequence[float]]) -> None:
+def _ranges(axes: Axes, number: int, case: Case, by_hosts: Mapping[int, Sequence[float]]) -> None:
     hosts = sorted(by_hosts)
     middle = [median(by_hosts[each]) for each in hosts]
     below = [at - min(by_hosts[each]) for at, each in zip(middle, hosts, strict=True)]
     above = [max(by_hosts[each]) - at for at, each in zip(middle, hosts, strict=True)]
-    place.errorbar(
+    axes.errorbar(
         hosts,
         middle,
         yerr=[below, above],
@@ -157,7 +157,8 @@ def _case(row: Row) -> Case:
     return (str(float(row["loss"])), *_kind(row), f"{row['hosts']} hosts", *_link(row))
 
 
-def _line(row: Row) -> Case:
+def _case_of_any_number(row: Row) -> Case:
+    """What makes two cases different, but for the number of hosts."""
     return (*_kind(row), f"{float(row['loss']):.0%} loss", *_link(row))
 
 
@@ -179,15 +180,15 @@ def _suite(suite: Mapping[str, Any]) -> str:
     return f"{suite['profile']}: {name}" if suite["profile"] else name
 
 
-def _bars(place: Axes, names: Sequence[str], parts: Mapping[str, Sequence[float]]) -> None:
+def _bars(axes: Axes, names: Sequence[str], parts: Mapping[str, Sequence[float]]) -> None:
     """One bar for each name, of these parts."""
     left = [0.0] * len(names)
     for colour, (label, values) in zip(_COLOURS, parts.items(), strict=False):
-        place.barh(names, values, left=left, color=colour, label=label, height=0.6)
+        axes.barh(names, values, left=left, color=colour, label=label, height=0.6)
         left = [one + other for one, other in zip(left, values, strict=True)]
-    place.legend(loc="lower right")
-    place.grid(axis="x", color="#ddd")
-    place.set_axisbelow(True)
+    axes.legend(loc="lower right")
+    axes.grid(axis="x", color="#ddd")
+    axes.set_axisbelow(True)
 
 
 def _panels(count: int) -> tuple[Figure, list[Axes]]:
@@ -200,15 +201,15 @@ def _panels(count: int) -> tuple[Figure, list[Axes]]:
     return figure, axes
 
 
-def _finish(place: Axes, title: str, across: str, up: str, *, legend: bool = True) -> None:
-    place.set_title(title)
-    place.set_xlabel(across)
-    place.set_ylabel(up)
-    place.set_xlim(left=0)
-    place.set_ylim(bottom=0)
-    place.grid(color="#ddd")
-    if legend and place.get_legend_handles_labels()[1]:
-        place.legend()
+def _finish(axes: Axes, title: str, across: str, up: str, *, legend: bool = True) -> None:
+    axes.set_title(title)
+    axes.set_xlabel(across)
+    axes.set_ylabel(up)
+    axes.set_xlim(left=0)
+    axes.set_ylim(bottom=0)
+    axes.grid(color="#ddd")
+    if legend and axes.get_legend_handles_labels()[1]:
+        axes.legend()
 
 
 def _written(figure: Figure) -> bytes:
