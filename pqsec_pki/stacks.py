@@ -66,11 +66,11 @@ FAST_DDS_LIMIT = MessageLimit(
 )
 """3.1.2 was run, the others' source was read."""
 
-
-def _text(version: tuple[int, int, int]) -> str:
-    return ".".join(map(str, version))
-
-
+DATAGRAM = 65507
+"""Bytes: the largest UDP payload over IPv4, in which Fast DDS sends a message whole."""
+FRAGMENT, SMALL_FRAGMENT = 1344, 1300
+"""Bytes of a sample in one datagram: by default in Cyclone DDS (General/FragmentSize), and as
+`pqsec export` sets it, so that the datagram fits an Ethernet frame with all headers."""
 FRAME = 1480
 """Bytes of a UDP datagram in one Ethernet frame; a larger one is fragmented by IP."""
 FRAME_MEMORY = 2304
@@ -78,3 +78,12 @@ FRAME_MEMORY = 2304
 how many datagrams of 14 and 30 kB were delivered in a run."""
 IPFRAG_HIGH_THRESH = 4 << 20
 """Bytes of incomplete datagrams that Linux holds for 30 s (net.ipv4.ipfrag_high_thresh)."""
+
+
+def frames_of(size: int) -> int:
+    """The Ethernet frames of a UDP datagram of `size` bytes."""
+    return -(-size // FRAME)
+
+
+def _text(version: tuple[int, int, int]) -> str:
+    return ".".join(map(str, version))

@@ -3,7 +3,8 @@
 from collections.abc import Iterator, Sequence
 
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.selfcheck import FRAGMENT, Suite, suites
+from pqsec_pki.selfcheck import Suite, suites
+from pqsec_pki.stacks import FRAGMENT
 
 _HEADERS = (
     *("", "profile", "signature", "key agreement", "request", "reply", "final"),

@@ -34,6 +34,7 @@ from pqsec_pki.cli import (
     _wire_version,
 )
 from pqsec_pki.errors import UsageError
+from pqsec_pki.stacks import FRAGMENT
 
 INTERRUPTED = 130
 """The exit code after Ctrl-C, as a shell has it: 128 + SIGINT."""
@@ -103,7 +104,7 @@ _OF_MEMORY = {"--signature", "--kem", "--all", "--warm-up", "--fragment-size", _
     "--fragment-size",
     "fragment",
     type=click.IntRange(64, 65_000),
-    default=1344,
+    default=FRAGMENT,
     help="Bytes of a sample in one datagram.  [default: 1344, Cyclone DDS's]",
 )
 @_wire_version.option(

@@ -24,6 +24,7 @@ from pqsec_pki.estimation import (
     svg_of,
 )
 from pqsec_pki.handshake import MessageSizes
+from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
 
 
 @_help.command(
@@ -63,7 +64,7 @@ from pqsec_pki.handshake import MessageSizes
 @click.option(
     "--fragment",
     type=click.IntRange(64, 65_000),
-    default=1300,
+    default=SMALL_FRAGMENT,
     show_default=True,
     help="Bytes of a sample in one datagram; the default is that of `pqsec export`.",
 )
@@ -90,7 +91,7 @@ from pqsec_pki.handshake import MessageSizes
     "--ipfrag-high-thresh",
     "threshold",
     type=click.IntRange(1, 1 << 40),
-    default=4 << 20,
+    default=IPFRAG_HIGH_THRESH,
     show_default=True,
     help="Bytes of net.ipv4.ipfrag_high_thresh on each host.",
 )

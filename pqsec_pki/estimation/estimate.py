@@ -10,12 +10,10 @@ from pqsec_pki.estimation.closed_form import ClosedForm
 from pqsec_pki.estimation.messages import sizes_of
 from pqsec_pki.estimation.scenario import GIVE_UP, RESEND, Scenario
 from pqsec_pki.estimation.simulation import Simulated, simulated
-from pqsec_pki.stacks import IPFRAG_HIGH_THRESH
+from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
 
 TIMES = (1, 2, 5, 10, 30, 60)
 """Seconds for which the share of pairs apart is told."""
-SMALL_FRAGMENT = 1300
-"""Bytes: fits into an Ethernet frame with all headers; what `pqsec export` writes."""
 _WORTH = 0.8
 """Advice must bring the median below this part of it."""
 VALIDITY = (

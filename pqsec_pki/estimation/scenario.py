@@ -11,7 +11,7 @@ from math import exp
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.estimation.costs import Costs
 from pqsec_pki.handshake import MessageSizes
-from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH
+from pqsec_pki.stacks import FRAME_MEMORY, IPFRAG_HIGH_THRESH, SMALL_FRAGMENT, frames_of
 
 RESEND = 1.0
 """Seconds until a Request or Reply without an answer is sent again."""
@@ -56,7 +56,7 @@ class Scenario:
     """Of each participant, if they are known."""
     loss: float = 0.0
     """The share of frames that get lost, 0 <= loss < 1."""
-    fragment: int = 1300
+    fragment: int = SMALL_FRAGMENT
     """Bytes of a sample in one datagram."""
     cores: int = 4
     """Of each host."""
@@ -81,7 +81,7 @@ class Scenario:
         """The frames of each datagram that carries a sample of `size` bytes."""
         whole, rest = divmod(size, self.fragment)
         parts = [self.fragment] * whole + [rest] * (rest > 0)
-        return [-(-(part + HEADERS) // FRAME) for part in parts]
+        return [frames_of(part + HEADERS) for part in parts]
 
     def frames(self, size: int) -> int:
         """The frames of all these datagrams."""

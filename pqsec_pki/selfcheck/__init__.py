@@ -17,7 +17,7 @@ if TYPE_CHECKING:
         load_party,
         run_handshake,
     )
-    from pqsec_pki.selfcheck.matrix import FRAGMENT, Suite, suites
+    from pqsec_pki.selfcheck.matrix import Suite, suites
     from pqsec_pki.selfcheck.pairs import (
         AllPairsJob,
         PairOutcome,
@@ -45,7 +45,6 @@ else:
 
 __all__ = [
     "AUTH_REQUEST",
-    "FRAGMENT",
     "HANDSHAKE",
     "MESSAGE",
     "PQSEC",

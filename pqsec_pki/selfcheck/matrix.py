@@ -16,16 +16,12 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, KeyAgreement, Profile
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, VerificationError
-from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.selfcheck.handshake_check import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.selfcheck.report import HANDSHAKE, HandshakeReport
+from pqsec_pki.stacks import DATAGRAM, FRAGMENT
 
-FRAGMENT = 1344
-"""Bytes of a sample in one datagram: Cyclone DDS's default (General/FragmentSize)."""
-DATAGRAM = 65507
-"""Bytes: the largest UDP payload over IPv4."""
 DOMAIN = DomainSet.of(0)
 NAMES = ("/talker", "/listener")
 _YEAR = timedelta(days=365)
@@ -84,9 +80,7 @@ class Suite:
         }
 
 
-def suites(
-    now: datetime, rounds: int, versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
-) -> Iterator[Suite]:
+def suites(now: datetime, rounds: int) -> Iterator[Suite]:
     """Measure each profile with each key agreement, over `rounds` handshakes.
 
     FileError if no temporary folder can be created; VerificationError if a handshake fails.
@@ -95,9 +89,7 @@ def suites(
         with _temporary_folder() as folder:
             keystore = _keystore(folder / "keystore", profile, now)
             for agreement in KEY_AGREEMENTS:
-                setup = HandshakeSetup(
-                    keystore=keystore, domain=0, now=now, agreement=agreement, versions=versions
-                )
+                setup = HandshakeSetup(keystore=keystore, domain=0, now=now, agreement=agreement)
                 yield _measured([_met(setup) for _ in range(rounds)], profile, agreement)
 
 

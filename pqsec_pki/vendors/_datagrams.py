@@ -7,15 +7,17 @@ library of 3.1.2, not of 2.9.1; those of OpenDDS and Connext are in their docume
 
 from collections.abc import Iterator, Mapping
 
-from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH, Stack
+from pqsec_pki.stacks import FRAME_MEMORY, IPFRAG_HIGH_THRESH, SMALL_FRAGMENT, Stack, frames_of
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Options
 from pqsec_pki.vendors.own_plugin import FASTRTPS
 
-MAX_MESSAGE, FRAGMENT = 1400, 1300
-"""Bytes of a datagram, and of a message in it, that fit an Ethernet frame with all headers."""
+MAX_MESSAGE = 1400
+"""Bytes of a datagram with SMALL_FRAGMENT of a message."""
 _FAST_DDS = f"the participant's property fastdds.max_message_size={MAX_MESSAGE} (not in 2.9.1)"
-_CYCLONE = f"General/MaxMessageSize {MAX_MESSAGE}B and FragmentSize {FRAGMENT}B in CYCLONEDDS_URI"
+_CYCLONE = (
+    f"General/MaxMessageSize {MAX_MESSAGE}B and FragmentSize {SMALL_FRAGMENT}B in CYCLONEDDS_URI"
+)
 _AVOIDED_BY: Mapping[Stack, str] = {
     Stack.FASTDDS: _FAST_DDS,
     Stack.OPENDDS: f"SedpMaxMessageSize={MAX_MESSAGE} in its [rtps_discovery/NAME]",
@@ -27,7 +29,7 @@ _AVOIDED_BY: Mapping[Stack, str] = {
 
 def notes(stack: Stack, enclave: StackEnclave, options: Options, size: int) -> Iterator[str]:
     """Sentences about datagrams and memory, if the largest message has `size` bytes."""
-    frames = -(-size // FRAME)
+    frames = frames_of(size)
     if not enclave.has_large_handshake or frames <= 1:
         return
     if _limits(stack, options):

@@ -12,8 +12,9 @@ from pathlib import Path
 from pqsec_pki.credentials import ALT_KEY, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.plugin.settings import FILE as SETTINGS
+from pqsec_pki.stacks import SMALL_FRAGMENT
 from pqsec_pki.vendors import _preload, own_plugin
-from pqsec_pki.vendors._datagrams import FRAGMENT, MAX_MESSAGE
+from pqsec_pki.vendors._datagrams import MAX_MESSAGE
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Options
 from pqsec_pki.vendors.own_plugin import FASTRTPS, PATH, folder_in
@@ -33,7 +34,7 @@ EXTRA = (ALT_KEY, PERMISSIONS_ALT_CA, SETTINGS)
 _URI = "CYCLONEDDS_URI"
 _FRAGMENTS = (
     f"<CycloneDDS><Domain><General><MaxMessageSize>{MAX_MESSAGE}B</MaxMessageSize>"
-    f"<FragmentSize>{FRAGMENT}B</FragmentSize></General></Domain></CycloneDDS>"
+    f"<FragmentSize>{SMALL_FRAGMENT}B</FragmentSize></General></Domain></CycloneDDS>"
 )
 _UNFIT = set(":;$")
 """Characters with a meaning of their own in LD_LIBRARY_PATH (ld.so(8))."""

@@ -11,8 +11,9 @@ from pathlib import Path
 
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError, shown
 from pqsec_pki.plugin import LIBRARY
-from pqsec_pki.stacks import Stack
+from pqsec_pki.stacks import SMALL_FRAGMENT, Stack
 from pqsec_pki.vendors import own_plugin
+from pqsec_pki.vendors._datagrams import MAX_MESSAGE
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors.cyclone_plugins import (
     NAMES,
@@ -65,7 +66,8 @@ def export(enclave: StackEnclave, options: Options) -> Export:
         release=release,
         password=_password(enclave, options),
         loopback=options.loopback,
-        fragments=enclave.has_large_handshake,
+        max_message=MAX_MESSAGE,
+        fragment=SMALL_FRAGMENT if enclave.has_large_handshake else None,
     )
     return Export(
         stack=Stack.CYCLONEDDS,

@@ -7,9 +7,9 @@ import pytest
 from pqsec_pki.algorithms import PROFILES, STOCK_AGREEMENT
 from pqsec_pki.documents import Criteria, Permissions
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lint.enclaves.size import DATAGRAM, FRAGMENT, MANY, reply_size
+from pqsec_pki.lint.enclaves.size import MANY, reply_size
 from pqsec_pki.selfcheck import verify_handshake
-from pqsec_pki.stacks import FAST_DDS_LIMIT, Stack
+from pqsec_pki.stacks import DATAGRAM, FAST_DDS_LIMIT, FRAGMENT, Stack
 from tests.unit.keystores import NOW
 from tests.unit.linting import TALKER, Lab
 

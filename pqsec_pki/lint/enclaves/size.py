@@ -29,17 +29,15 @@ from pqsec_pki.handshake import (
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 from pqsec_pki.stacks import (
+    DATAGRAM,
     FAST_DDS_LIMIT,
-    FRAME,
+    FRAGMENT,
     FRAME_MEMORY,
     IPFRAG_HIGH_THRESH,
     Stack,
+    frames_of,
 )
 
-DATAGRAM = 65507
-"""Bytes: the largest UDP payload over IPv4, in which Fast DDS sends a message whole."""
-FRAGMENT = 1344
-"""Bytes of a message in one datagram: the default of Cyclone DDS (General/FragmentSize)."""
 MANY = 40
 """Fragments. The largest handshake of pqsec's profiles has 29."""
 _SMALLER = "Write permissions with fewer rules (patterns instead of lists of topics)"
@@ -161,7 +159,7 @@ def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def over_reassembly_memory(inventory: Inventory) -> Iterator[Violation]:
-    held = [-(-each.message // FRAME) * FRAME_MEMORY for each in largest_messages(inventory)]
+    held = [frames_of(each.message) * FRAME_MEMORY for each in largest_messages(inventory)]
     needed = sum(held) - min(held, default=0)
     if needed > IPFRAG_HIGH_THRESH:
         yield Violation(
