@@ -20,8 +20,8 @@ from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
 from pqsec_pki.plugin.building import SOURCES, CompileError, command
-from pqsec_pki.trial._proc import processor_seconds, proportional_memory
 from pqsec_pki.trial.building import cache, is_own, run_tool
+from pqsec_pki.trial.host_process import processor_seconds
 from pqsec_pki.trial.installation import MACHINE, Installation
 from pqsec_pki.vendors import FastDds, examine
 from pqsec_pki.vendors.fastdds_adapter import Compilers, commands, here, install, sources
@@ -81,7 +81,16 @@ class AgentUse:
             status = None
         running = (status.process, *status.workers) if status else ()
         cpu = {each: processor_seconds(each) for each in running}
-        return cls(cpu, sum(map(proportional_memory, running)))
+        return cls(cpu, sum(map(_proportional, running)))
+
+
+def _proportional(process: int) -> int:
+    """Kilobytes of a process (proc_pid_smaps(5)); 0 if it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("Pss:")), 0)
 
 
 def _built(fastdds: Installation | None) -> Path:

@@ -1,4 +1,4 @@
-"""One participant on a host of its own: its process, and what it prints (cyclonedds_host.h)."""
+"""One participant on a host of its own: its process, and what it says (peers/cyclonedds_host.h)."""
 
 import os
 import signal
@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import field
+from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.trial.words import words
@@ -25,8 +26,7 @@ class HostProcess:
     """A running host."""
 
     process: "subprocess.Popen[bytes]"
-    _events: list[tuple[str, int, float]] = field(default_factory=list)
-    """A word, a number and the time by time.monotonic."""
+    _said: list[tuple[str, int, float]] = field(default_factory=list)
     _log: bytes = b""
     _rest: bytes = b""
 
@@ -41,39 +41,40 @@ class HostProcess:
         assert self.process.stdout  # noqa: S101 -- opened as a pipe
         return self.process.stdout.fileno()
 
-    def read(self) -> bool:
-        """Read what it has printed; False at the end."""
-        data = os.read(self.output, _LARGEST)
-        *lines, self._rest = (self._rest + data).split(b"\n")
+    def hear(self) -> bool:
+        """Take what it has said; False if it will say no more."""
+        heard = os.read(self.output, _LARGEST)
+        *lines, self._rest = (self._rest + heard).split(b"\n")
         for line in lines:
-            if event := _parsed(line):
-                self._events.append(event)
+            said = _parsed(line)
+            if said:
+                self._said.append(said)
             elif len(self._log) < _MAX_LOG:
                 self._log += line + b"\n"
-        return bool(data)
+        return bool(heard)
 
-    def send(self, line: str) -> None:
-        """Write a line to it, unless it has ended."""
+    def tell(self, line: str) -> None:
+        """Give it a line; it may have ended."""
         assert self.process.stdin  # noqa: S101 -- opened as a pipe
         with suppress(BrokenPipeError):
             self.process.stdin.write(f"{line}\n".encode())
 
     def times(self, word: str) -> list[float]:
-        """The times of the events with that word."""
-        return [when for each, _, when in self._events if each == word]
+        """When it said that, by time.monotonic."""
+        return [when for said, _, when in self._said if said == word]
 
     @property
     def received(self) -> int:
         """The samples of others that it had when it was last asked."""
-        return max((number for each, number, _ in self._events if each == "received"), default=0)
+        return max((number for said, number, _ in self._said if said == "received"), default=0)
 
     @property
     def met(self) -> list[float]:
         """When its writer and its reader were first matched with those of one other, two, ..."""
         most = {each: [0.0] * _OWN for each in ENDPOINTS}
-        for word, number, when in self._events:
-            if word in most:
-                most[word] += [when] * (number - len(most[word]))
+        for said, number, when in self._said:
+            if said in most:
+                most[said] += [when] * (number - len(most[said]))
         return [max(both) for both in zip(*most.values(), strict=False)][_OWN:]
 
     @property
@@ -89,7 +90,7 @@ class HostProcess:
 
 
 def _parsed(line: bytes) -> tuple[str, int, float] | None:
-    """The event; None for what a stack prints."""
+    """A word, a number and a time; None for what a stack prints."""
     word, *values = line.decode(errors="replace").split(" ")
     try:
         number, when = map(float, values or ("0", "0"))
@@ -100,12 +101,12 @@ def _parsed(line: bytes) -> tuple[str, int, float] | None:
 
 @contextmanager
 def running_host(
-    program: Sequence[str], environment: Mapping[str, str], arguments: Sequence[str]
+    program: Sequence[str], environment: Mapping[str, str], words: Sequence[str]
 ) -> Iterator[HostProcess]:
     """Run a host in the network of this thread; it is killed when the block ends."""
     with tempfile.TemporaryDirectory(prefix="pqsec-host-") as folder:
         process = subprocess.Popen(  # noqa: S603 -- a peer that was compiled here
-            [*program, "host", *arguments],
+            [*program, "host", *words],
             cwd=folder,  # a stack may leave files where it runs
             env=os.environ | environment,
             stdin=subprocess.PIPE,
@@ -119,3 +120,53 @@ def running_host(
         finally:
             process.kill()
             process.communicate()
+
+
+KERNEL = {
+    "OutDatagrams": "Udp",
+    "InDatagrams": "Udp",
+    "RcvbufErrors": "Udp",
+    "ReasmFails": "Ip",
+}
+"""Counters of a network, and their protocol in /proc/PID/net/snmp (proc_pid_net(5)): datagrams
+sent, received, and dropped because their receiver was too slow; and not reassembled."""
+
+
+QUEUE_DROPS = "QueueDrops"
+"""Frames that were lost because the switch was too slow."""
+_DROPPED = 11
+"""The field of /proc/PID/net/dev with them."""
+
+
+def kernel_counters(process: int) -> dict[str, int]:
+    """Those in KERNEL of its network, and QUEUE_DROPS; nothing if it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/net/snmp").read_text().splitlines()
+    except OSError:
+        return {}
+    found: dict[tuple[str, str], int] = {}
+    for names, values in zip(lines[::2], lines[1::2], strict=False):
+        protocol, *words = names.split()
+        numbers = map(int, values.split()[1:])
+        found |= {(protocol.rstrip(":"), word): n for word, n in zip(words, numbers, strict=False)}
+    counters = {name: found.get((protocol, name), 0) for name, protocol in KERNEL.items()}
+    return counters | {QUEUE_DROPS: _queue_drops(process)}
+
+
+def _queue_drops(process: int) -> int:
+    """Frames that its interface could not send; 0 if it has ended."""
+    try:
+        lines = Path(f"/proc/{process}/net/dev").read_text().splitlines()
+    except OSError:
+        return 0
+    fields = (line.partition(":")[2].split() for line in lines if line.strip().startswith("eth0:"))
+    return sum(int(each[_DROPPED]) for each in fields)
+
+
+def processor_seconds(process: int) -> float:
+    """Seconds of the processor that it has taken; 0 if it has ended."""
+    try:
+        fields = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")

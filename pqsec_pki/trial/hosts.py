@@ -4,11 +4,14 @@ import selectors
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
-from dataclasses import replace
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.trial._proc import network_counters, processor_seconds
-from pqsec_pki.trial.host_process import HostProcess, running_host
+from pqsec_pki.trial.host_process import (
+    HostProcess,
+    kernel_counters,
+    processor_seconds,
+    running_host,
+)
 from pqsec_pki.trial.network import Network, alone
 from pqsec_pki.trial.segment import Link, Segment, SegmentError, segment
 
@@ -51,7 +54,7 @@ class HostOutcome:
     cpu: float
     """Seconds of the processor until all had met."""
     kernel: Mapping[str, int]
-    """Counters of its network until then: see `_proc.network_counters`."""
+    """Counters of its network until then: see `host_process.KERNEL`."""
     signal: str | None
     """The signal that killed it, unless pqsec sent it."""
     log: tuple[str, ...]
@@ -83,55 +86,51 @@ def run_hosts(setup: HostsSetup) -> HostsRun:
 
 
 def _run_hosts(setup: HostsSetup, network: Network) -> HostsRun:
-    with segment(setup.link) as ethernet, _started(setup, ethernet) as processes:
-        hosts, others = _Hosts(processes, network), len(processes) - 1
+    with segment(setup.link) as ethernet, _hosts(setup, ethernet) as hosts:
+        crowd, others = _Crowd(hosts, network), len(hosts) - 1
         ethernet.connect()
         ethernet.counted()  # now the switch runs
-        hosts.wait(lambda each: bool(each.times("ready")), _START)
+        crowd.until(lambda each: bool(each.times("ready")), _START)
         start = time.monotonic()
-        hosts.send("go")
-        hosts.wait(lambda each: len(each.met) >= others, setup.timeout)
+        crowd.tell("go")
+        crowd.until(lambda each: len(each.met) >= others, setup.timeout)
         counts = ethernet.counted()
-        outcomes = [_outcome(each, start) for each in processes]
+        ends = [each.process.pid for each in hosts]
+        measured = [(processor_seconds(each), kernel_counters(each)) for each in ends]
+        met = [tuple(when - start for when in each.met) for each in hosts]
         lost = None
-        if all(len(each.met) >= others for each in outcomes):
-            lost = hosts.exchange(setup.samples, _REPAIR + 10 * setup.link.delay)
-        ended = [
-            replace(one, received=each.received, signal=each.signal, log=each.log)
-            for one, each in zip(outcomes, processes, strict=True)
+        if all(len(each) >= others for each in met):
+            lost = crowd.exchange(setup.samples, _REPAIR + 10 * setup.link.delay)
+        outcomes = [
+            HostOutcome(
+                joined=next((when - start for when in host.times("joined")[-1:]), None),
+                met=when,
+                received=host.received,
+                cpu=cpu,
+                kernel=kernel,
+                signal=host.signal,
+                log=host.log,
+            )
+            for host, when, (cpu, kernel) in zip(hosts, met, measured, strict=True)
         ]
-    return HostsRun(hosts=tuple(ended), counts=counts, samples_lost=lost)
-
-
-def _outcome(host: HostProcess, start: float) -> HostOutcome:
-    """What it has done until now; no samples were sent."""
-    process = host.process.pid
-    return HostOutcome(
-        joined=next((when - start for when in host.times("joined")[-1:]), None),
-        met=tuple(when - start for when in host.met),
-        received=0,
-        cpu=processor_seconds(process),
-        kernel=network_counters(process),
-        signal=host.signal,
-        log=host.log,
-    )
+    return HostsRun(hosts=tuple(outcomes), counts=counts, samples_lost=lost)
 
 
 @contextmanager
-def _started(setup: HostsSetup, ethernet: Segment) -> Iterator[list[HostProcess]]:
+def _hosts(setup: HostsSetup, ethernet: Segment) -> Iterator[list[HostProcess]]:
     """All hosts, which are in their namespaces and wait."""
     seconds = str(_START + setup.timeout + _SPARE)
     with ExitStack() as stack:
         hosts = []
         for number, environment in enumerate(setup.environments):
             ethernet.add_host()
-            arguments = (str(setup.domain), setup.topic, f"host{number}", seconds)
-            hosts.append(stack.enter_context(running_host(setup.program, environment, arguments)))
+            words = (str(setup.domain), setup.topic, f"host{number}", seconds)
+            hosts.append(stack.enter_context(running_host(setup.program, environment, words)))
         yield hosts
 
 
-class _Hosts:
-    """All hosts together."""
+class _Crowd:
+    """All hosts, and what they say."""
 
     def __init__(self, hosts: Sequence[HostProcess], network: Network) -> None:
         self._hosts, self._network = hosts, network
@@ -139,31 +138,28 @@ class _Hosts:
         for each in hosts:
             self._ready.register(each.output, selectors.EVENT_READ, each)
 
-    def send(self, line: str) -> None:
-        """Send each host the line."""
+    def tell(self, line: str) -> None:
         for each in self._hosts:
-            each.send(line)
+            each.tell(line)
 
-    def wait(self, is_done: Callable[[HostProcess], bool], seconds: float) -> None:
-        """Read what hosts print until each is done or has ended, at most so many seconds.
-
-        SegmentError if this process is asked to end.
-        """
+    def until(self, is_so: Callable[[HostProcess], bool], seconds: float) -> bool:
+        """Wait until it is so of each host, or so many seconds; SegmentError if asked to end."""
         end = time.monotonic() + seconds
         while time.monotonic() < end:
             for key, _ in self._ready.select(_PAUSE):
-                if not key.data.read():
+                if not key.data.hear():
                     self._ready.unregister(key.fileobj)
             if not self._network.pause(0):
                 raise SegmentError("the run was interrupted")
-            if all(each.ended or is_done(each) for each in self._hosts):
-                return
+            if all(each.ended or is_so(each) for each in self._hosts):
+                return True
+        return False
 
     def exchange(self, samples: int, repair: float) -> int:
         """The samples that do not arrive when each host sends so many to all others."""
         expected = samples * (len(self._hosts) - 1)
-        self.send(str(samples))
-        self.wait(lambda each: bool(each.times("sent")), _SPARE)
+        self.tell(str(samples))
+        self.until(lambda each: bool(each.times("sent")), _SPARE)
         end = time.monotonic() + repair
         while True:
             lost = sum(max(0, expected - each) for each in self._received())
@@ -172,8 +168,8 @@ class _Hosts:
             self._network.pause(_PAUSE)
 
     def _received(self) -> list[int]:
-        """How many samples of others each says that it has received."""
+        """What each has received of others, by its own words now."""
         answers = 1 + max(len(each.times("received")) for each in self._hosts)
-        self.send("0")
-        self.wait(lambda each: len(each.times("received")) >= answers, _SPARE)
+        self.tell("0")
+        self.until(lambda each: len(each.times("received")) >= answers, _SPARE)
         return [each.received for each in self._hosts]

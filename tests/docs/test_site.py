@@ -1,4 +1,7 @@
-"""The site has a page for each command and each rule. The gate builds all of it, strictly."""
+"""The site has a page for each command and each rule. The gate builds all of it, strictly.
+
+What people write for it stays short enough to be read.
+"""
 
 import re
 
@@ -7,12 +10,15 @@ import pytest
 
 from docs.site import generated
 from pqsec_pki.lint import RULES
+from tests.docs.reference_pages import ROOT, generated_pages
 from tests.docs.rules_page import PAGE
 from tests.docs.test_documents_run import _all_commands
 
 COMMANDS = generated.commands()
 PAGES = generated.command_pages()
 INDEX = f"{generated.COMMANDS}/index.md"
+MOST_LINES = 4500
+"""Of all hand-written pages of docs/ but the decisions, which are a record."""
 
 
 def test_every_command_has_a_page_that_the_index_links():
@@ -45,3 +51,14 @@ def test_every_rule_has_a_page_that_the_page_of_rules_links():
     assert re.findall(r"(?m)^- \[(PQS[0-9]{3}): ", index) == list(RULES)
     assert set(re.findall(r"\]\(rules/(PQS[0-9]{3})\.md\)", index)) == set(RULES)
     assert "To fix it:" not in index
+
+
+def test_the_written_pages_stay_short():
+    decisions = ROOT / "docs/explanation/adr"
+    pages = {path for path in ROOT.glob("docs/**/*.md") if path.parent != decisions}
+    made = generated_pages()
+    assert made <= pages
+    for page in made:
+        assert re.search(r"[Gg]enerate[ds] ", page.read_text()[:400]), page
+    lines = {path.name: len(path.read_text().splitlines()) for path in pages - made}
+    assert sum(lines.values()) <= MOST_LINES, sorted(lines.items(), key=lambda item: -item[1])

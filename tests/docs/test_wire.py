@@ -489,7 +489,7 @@ def test_every_check_has_a_test_and_every_attack_it_names_is_one():
 
 
 def test_every_point_of_the_paper_names_its_tests():
-    points = re.findall(r"(?ms)^## ([0-9])\. (.*?)\n(.*?)(?=^## )", PAPER.text)
+    points = re.findall(r"(?ms)^## ([0-9])\. (.*?)\n(.*?)(?=^## |\Z)", PAPER.text)
     assert [number for number, *_ in points] == [str(at) for at in range(1, len(points) + 1)]
     for *_, text in points:
         assert re.findall(r"(?m)^\*(\w.*?)\.\*", text) == ["Found", "Consequence", "pqsec"]

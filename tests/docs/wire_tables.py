@@ -7,11 +7,19 @@ from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, SignatureAlgorithm
 from pqsec_pki.algorithms._agreement import Hybrid, KeyAgreement
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._pair import SignaturePair
+from pqsec_pki.algorithms._pbes2 import MAX_ITERATIONS
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
+from pqsec_pki.certificates.request import MAX_REQUEST
+from pqsec_pki.certificates.revocation import MAX_LIST
+from pqsec_pki.documents._schema import MAX_PROBLEMS
+from pqsec_pki.documents._xml import MAX_DOCUMENT
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, MAX_CONTENT, MAX_MEMBERS
 from pqsec_pki.handshake import KeyMaterial, TransformationKind, compact
 from pqsec_pki.handshake._secured import MAX_RECEIVERS, Secure
 from pqsec_pki.handshake.protection import MAX_PAYLOAD, MAX_SUBMESSAGE
 from pqsec_pki.handshake.wire import MAX_PROPERTIES, MAX_SAMPLE, MAX_TOKEN, MAX_TOKENS
+from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE
+from pqsec_pki.smime._mime import MAX_MESSAGE
 from pqsec_pki.smime.document import MAX_CARRIED, MAX_CARRIED_VALUES
 from tests.docs.rows import table
 
@@ -44,6 +52,21 @@ LIMITS = {
     "a payload to be protected": MAX_PAYLOAD,
     "receivers of one submessage": MAX_RECEIVERS,
 }
+FILE_LIMITS = {
+    "a governance or permissions document": MAX_DOCUMENT,
+    "a signed document": MAX_MESSAGE,
+    "the CMS structure in it": MAX_SIZE,
+    "nesting of BER in that structure": MAX_DEPTH,
+    "parts in one of its BER values": MAX_CHILDREN,
+    "a certificate": MAX_CERTIFICATE,
+    "a certificate request": MAX_REQUEST,
+    "a revocation list": MAX_LIST,
+    "a bundle, as a file": MAX_ARCHIVE,
+    "a bundle, unpacked": MAX_CONTENT,
+    "files in a bundle": MAX_MEMBERS,
+    "PBKDF2 iterations of an encrypted key": MAX_ITERATIONS,
+    "problems reported of one document": MAX_PROBLEMS,
+}
 
 
 def parts() -> Iterator[str]:
@@ -67,8 +90,8 @@ def parts() -> Iterator[str]:
     yield from ("## Secure submessages", _SECURE, table(("Submessage", "Kind"), submessages))
     dictionary = compact.CREDENTIALS_DICTIONARY.decode()
     yield from ("## The dictionary", _DICTIONARY, f"```xml\n{dictionary}```")
-    limits = ((name, str(value)) for name, value in LIMITS.items())
-    yield from ("## Limits", _LIMITS, table(("Limit", "Value"), limits))
+    yield from ("## Limits", _LIMITS, _limits("Limit", LIMITS))
+    yield from ("## Limits of files", _FILE_LIMITS, _limits("Limit of files", FILE_LIMITS))
 
 
 _SIGNATURES = "Section 6.1. Composites and pairs are below; pairs have the plain key's `*.algo`."
@@ -81,6 +104,11 @@ _DICTIONARY = (
     "Section 5.1. The preset dictionary of DEFLATE is this text; it ends with a line feed."
 )
 _LIMITS = "Section 13: pqsec's limits, in octets where it is a size."
+_FILE_LIMITS = "Of [the formats](formats.md): what pqsec reads, in octets where it is a size."
+
+
+def _limits(head: str, limits: dict[str, int]) -> str:
+    return table((head, "Value"), ((name, str(value)) for name, value in limits.items()))
 
 
 def _signature(algorithm: SignatureAlgorithm) -> tuple[str, ...]:

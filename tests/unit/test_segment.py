@@ -11,9 +11,8 @@ import pytest
 
 from pqsec_pki.handshake import DataHolder, GenericMessage, MessageClass
 from pqsec_pki.trial._handshake_traffic import HandshakeTraffic
-from pqsec_pki.trial._proc import network_counters
 from pqsec_pki.trial._switch import Switch
-from pqsec_pki.trial.host_process import HostProcess
+from pqsec_pki.trial.host_process import HostProcess, kernel_counters
 from pqsec_pki.trial.network import alone
 from pqsec_pki.trial.segment import Link, segment
 
@@ -169,7 +168,7 @@ def test_what_a_host_says_is_read_among_what_its_stack_prints():
         [sys.executable, "-c", f"print({chr(10).join(lines)!r})"], stdout=subprocess.PIPE
     ) as process:
         host = HostProcess(process)
-        while host.read():
+        while host.hear():
             pass
     assert host.met == [10.5, 10.5]
     assert (host.received, host.times("joined")) == (9, [10.0])
@@ -177,8 +176,8 @@ def test_what_a_host_says_is_read_among_what_its_stack_prints():
 
 
 def test_the_kernel_counts_datagrams():
-    assert network_counters(os.getpid())["OutDatagrams"] >= 0
-    assert network_counters(2**22 + 1) == {}
+    assert kernel_counters(os.getpid())["OutDatagrams"] >= 0
+    assert kernel_counters(2**22 + 1) == {}
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="network namespaces need root")
@@ -194,7 +193,7 @@ def test_frames_that_the_switch_is_too_slow_for_are_counted(monkeypatch):
                 for _ in range(1000):
                     sender.sendto(bytes(100), ("10.77.255.255", 7000))
             with subprocess.Popen(["sleep", "60"]) as process:
-                found = network_counters(process.pid)
+                found = kernel_counters(process.pid)
                 process.kill()
             return found
 
