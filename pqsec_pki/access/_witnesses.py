@@ -59,13 +59,13 @@ def witnesses(patterns: Iterable[str]) -> Witnesses:
 
 def sample(pattern: str, but: Container[str] = ()) -> str | None:
     """A name that the pattern covers, if possible not in `but`; None if no simple one was found."""
+    if not is_wildcard(pattern):
+        return pattern or None
     made = [name for filler in ("x", "xyz", "") if (name := _filled(pattern, filler))]
     return next((name for name in made if name not in but), next(iter(made), None))
 
 
 def _filled(pattern: str, filler: str) -> str | None:
-    if not is_wildcard(pattern):
-        return pattern
     places = compiled(pattern)
     name = b""
     for place in range(places.length + 1):

@@ -1,8 +1,9 @@
 """Decide a question by governance and permissions."""
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator
 from dataclasses import field, replace
 from datetime import datetime
+from itertools import product
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access.decision import Decision, Protection, no
@@ -62,31 +63,24 @@ class InterpretedPolicy:
             return replace(decision, reason=f"{_DOUBT}: {decision.reason}")
         return decision
 
-    def uses(
-        self, join: Question, topics: Mapping[Action, Iterable[str]]
-    ) -> Iterator[tuple[Action, str]]:
-        """Those of the topics, each with its action, for which `decide` allows it.
-
-        `join` asks whether the participant may join; that is checked once for all topics.
-        """
+    def joins(self, join: Question) -> bool:
+        """Whether `decide` allows it to join."""
         context = self._context(join)
-        if context is None or not _checked(context, None).allowed:
-            return
+        return context is not None and _checked(context, None).allowed
+
+    def uses(self, join: Question, topics: Iterable[str]) -> Iterator[tuple[Action, str]]:
+        """The topics that `decide` allows it to publish or subscribe to, each with the action.
+
+        `join` asks whether the participant may join, and `joins` allows it.
+        """
         use = self.interpretation.use
         checks = tuple(dict.fromkeys(check for side in Viewpoint for check in use[side]))
         subject, domain, now = join.subject, join.domain, join.now
-        for action, names in topics.items():
-            for name in names:
-                asked = EvaluationContext(
-                    question=Question(
-                        subject=subject, domain=domain, action=action, now=now, topic=name
-                    ),
-                    interpretation=self.interpretation,
-                    domain_rules=context.domain_rules,
-                    grant=context.grant,
-                )
-                if all(check(asked).allowed for check in checks):
-                    yield action, name
+        for topic, action in product(topics, (Action.PUBLISH, Action.SUBSCRIBE)):
+            question = Question(subject=subject, domain=domain, action=action, now=now, topic=topic)
+            asked = self._context(question)
+            if asked and all(check(asked).allowed for check in checks):
+                yield action, topic
 
     def _context(self, question: Question) -> EvaluationContext | None:
         """None if no question is allowed: the documents have a flaw, or no grant is for it."""

@@ -88,19 +88,25 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     if not governed:
         return ()
     asked = samples(members, topics, asked)
-    found: dict[str, dict[TopicRow, list[DomainRange]]] = {topic: {} for topic in asked}
+    found: dict[str, dict[TopicRow, tuple[DomainRange, ...]]] = {topic: {} for topic in asked}
     matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
     for stretch in apart:
         users = matrix.users(stretch.first)
         for topic, name in asked.items():
             if name in users.publishers or name in users.subscribers:
-                found[topic].setdefault(users.row(topic, name), []).append(stretch)
-    placed = list[Placed]()
-    for topic, rows_of_it in found.items():
-        placed += (Placed(row=row, domains=domain_set(where)) for row, where in rows_of_it.items())
-        if not rows_of_it:
+                rows, row = found[topic], users.row(topic, name)
+                rows[row] = (*rows.get(row, ()), stretch)
+    for topic, rows in found.items():
+        if not rows:
             nobody = TopicRow(topic=topic, asked=asked[topic], publishers=(), subscribers=())
-            placed.append(Placed(row=nobody, domains=domain_set(governed)))
+            rows[nobody] = governed
+    different = {where for rows in found.values() for where in rows.values()}
+    sets = {where: domain_set(where) for where in different}
+    placed = (
+        Placed(row=row, domains=sets[where])
+        for rows in found.values()
+        for row, where in rows.items()
+    )
     return tuple(placed)
 
 

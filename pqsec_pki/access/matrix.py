@@ -1,7 +1,7 @@
 """Who may publish and subscribe to what: many participants, many topics."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import datetime, timedelta
+from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._index import Names
@@ -9,18 +9,9 @@ from pqsec_pki.access._witnesses import is_wildcard, sample
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
-from pqsec_pki.access.question import Action, Question
-from pqsec_pki.documents import (
-    DefaultAction,
-    DomainSet,
-    Governance,
-    Grant,
-    PermissionRule,
-    Permissions,
-)
+from pqsec_pki.access.question import MAX_NAME, Action, Question
+from pqsec_pki.documents import Criteria, Governance, Permissions
 
-_ANYONE = "CN=anyone"
-_EITHER = (Action.PUBLISH, Action.SUBSCRIBE)
 _NOTHING: Mapping[str, str | None] = {}
 
 
@@ -55,7 +46,12 @@ class TopicRow:
 def topics_named(members: Iterable[DocumentOwner]) -> tuple[str, ...]:
     """All topics and patterns for publishing and subscribing in any rule, sorted."""
     named = {
-        topic for each in members for action in _EITHER for topic in _own_patterns(each, action)
+        topic
+        for each in members
+        for grant in each.permissions.grants
+        for rule in grant.rules
+        for criteria in (*rule.publish, *rule.subscribe)
+        for topic in criteria.topics
     }
     return tuple(sorted(named - {""}))
 
@@ -121,16 +117,18 @@ class Matrix:
         now: datetime,
         interpretation: Interpretation,
     ) -> None:
-        self._governance, self._interpretation, self._now = governance, interpretation, now
+        self._now, self._covers = now, interpretation.covers
         self._known = Names(name for name in names if name)
-        governs, builtin = interpretation.governs, interpretation.builtin
         rules = [each for rule in governance.domain_rules for each in rule.topic_rules]
         expressions = tuple(dict.fromkeys(each.topic_expression for each in rules))
-        self._alike: dict[object, list[str]] = {}
-        """Topics that governance treats alike on every domain: the same topic rules cover them."""
+        self._kind: dict[str, object] = {}
+        """Governance treats topics of one kind alike on every domain: the same rules cover them."""
+        self._of_kind: dict[object, list[str]] = {}
         for name in self._known.sorted:
-            covered = tuple(governs(each, name) for each in expressions)
-            self._alike.setdefault((covered, name in builtin), []).append(name)
+            covered = tuple(interpretation.governs(each, name) for each in expressions)
+            kind = covered, name in interpretation.builtin, len(name) > MAX_NAME
+            self._kind[name] = kind
+            self._of_kind.setdefault(kind, []).append(name)
         self._members = [
             (each, InterpretedPolicy(governance, each.permissions, interpretation))
             for each in members
@@ -140,50 +138,46 @@ class Matrix:
         """Who may use which of the topics on that domain, with the members in their order."""
         publishers: dict[str, list[str]] = {}
         subscribers: dict[str, list[str]] = {}
-        open_to_all = self._open(domain)
         for member, policy in self._members:
-            join = self._question(member.subject, domain)
-            topics = {action: self._worth_asking(member, action, open_to_all) for action in _EITHER}
-            for action, topic in policy.uses(join, topics):
+            join = Question(
+                subject=member.subject, domain=domain, action=Action.JOIN, now=self._now
+            )
+            for action, topic in self._uses(member, policy, join) if policy.joins(join) else ():
                 found = publishers if action is Action.PUBLISH else subscribers
                 found.setdefault(topic, []).append(member.name)
         return TopicUsers(publishers, subscribers)
 
-    def _question(self, subject: str, domain: int) -> Question:
-        return Question(subject=subject, domain=domain, action=Action.JOIN, now=self._now)
+    def _uses(
+        self, member: DocumentOwner, policy: InterpretedPolicy, join: Question
+    ) -> Iterator[tuple[Action, str]]:
+        """The topics that this member may use, each with its action.
 
-    def _worth_asking(
-        self, member: DocumentOwner, action: Action, open_to_all: frozenset[str]
-    ) -> Iterator[str]:
-        """The topics that this member's rules, default or the governance may allow."""
-        if any(grant.default is DefaultAction.ALLOW for grant in member.permissions.grants):
-            yield from self._known.sorted
-            return
-        covers = self._interpretation.covers
-        found = (self._known.covered(each, covers) for each in _own_patterns(member, action))
-        yield from sorted(open_to_all.union(*found))
+        A decision depends only on which patterns cover the topic. So one topic is asked about for
+        all that governance treats alike and that the same criteria cover.
+        """
+        covering, alike = self._covering(member), dict[object, list[str]]()
+        for name, numbers in covering.items():
+            alike.setdefault((self._kind[name], numbers), []).append(name)
+        own = {names[0]: names for names in alike.values()}
+        others = dict[str, list[str]]()
+        for names in self._of_kind.values():
+            if first := next((name for name in names if name not in covering), None):
+                others[first] = names
+        for action, first in policy.uses(join, (*own, *others)):
+            names = own.get(first) or [each for each in others[first] if each not in covering]
+            yield from ((action, name) for name in names)
 
-    def _open(self, domain: int) -> frozenset[str]:
-        """The topics that every member may use, because governance does not control them."""
-        day = timedelta(days=1)
-        grant = Grant(
-            name=_ANYONE,
-            subject_name=_ANYONE,
-            not_before=self._now - day,
-            not_after=self._now + day,
-            rules=(PermissionRule(allow=True, domains=DomainSet(parts=(domain,))),),
-        )
-        policy = InterpretedPolicy(
-            self._governance, Permissions(grants=(grant,)), self._interpretation
-        )
-        groups, join = self._alike.values(), self._question(_ANYONE, domain)
-        firsts = {action: [names[0] for names in groups] for action in _EITHER}
-        found = {name for _, name in policy.uses(join, firsts)}
-        return frozenset(name for names in groups if names[0] in found for name in names)
+    def _covering(self, member: DocumentOwner) -> dict[str, tuple[int, ...]]:
+        """The topics that this member's criteria cover, each with the numbers of those criteria."""
+        found: dict[str, tuple[int, ...]] = {}
+        for number, criteria in enumerate(_criteria(member)):
+            covered = (self._known.covered(each, self._covers) for each in criteria.topics)
+            for name in frozenset[str]().union(*covered):
+                found[name] = (*found.get(name, ()), number)
+        return found
 
 
-def _own_patterns(member: DocumentOwner, action: Action) -> Iterator[str]:
+def _criteria(member: DocumentOwner) -> Iterator[Criteria]:
     for grant in member.permissions.grants:
         for rule in grant.rules:
-            for criteria in rule.publish if action is Action.PUBLISH else rule.subscribe:
-                yield from criteria.topics
+            yield from (*rule.publish, *rule.subscribe, *rule.relay)

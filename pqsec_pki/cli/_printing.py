@@ -112,8 +112,6 @@ def numbered(texts: Iterable[str]) -> Iterator[str]:
 def table(headers: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
     """The lines of a table with aligned columns."""
     grid = [headers, *rows]
-    widths = [max(len(row[column]) for row in grid) for column in range(len(headers))]
-    return [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in grid
-    ]
+    widths = [max(map(len, cells)) for cells in zip(*grid, strict=True)]
+    line = "  ".join(f"{{:{width}}}" for width in widths).format
+    return [line(*row).rstrip() for row in grid]

@@ -72,7 +72,10 @@ def _comma_form(text: str) -> Subject:
 def _comma_value(found: re.Match[str]) -> str:
     if found["quoted"] is not None:
         return _unescaped(_COMMA_FORM.finditer(found["quoted"]))
-    characters = list(_COMMA_FORM.finditer(found["plain"]))
+    plain = found["plain"]
+    if plain.isascii() and "\\" not in plain:  # so with nearly all names
+        return plain.rstrip(_SPACE)
+    characters = list(_COMMA_FORM.finditer(plain))
     while characters and characters[-1][0] in _SPACE:  # an escaped space is part of the value
         characters.pop()
     return _unescaped(characters)

@@ -263,9 +263,10 @@ class Keystore:
         has_groups = any(each.startswith(GROUP) for each in given)
         return expanded(given, known, self.groups if has_groups else {})
 
-    def incomplete(self) -> list[str]:
-        """The enclaves with files but no certificate, sorted; FileError as from `names`."""
-        return layout.incomplete_in(self.root)
+    def names_of_all(self) -> list[str]:
+        """`names`, and then the enclaves with files but no certificate; FileError likewise."""
+        names, incomplete = layout.enclaves_in(self.root)
+        return [*names, *incomplete]
 
     def has(self, name: str) -> bool:
         """Whether there is any file of a participant called `name`."""

@@ -128,30 +128,24 @@ def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, st
     }
 
 
-def incomplete_in(root: Path) -> list[str]:
-    """The enclaves under `root` with files of a participant but no certificate, sorted.
-
-    FileError if a folder cannot be read.
-    """
-    return sorted(
-        name
-        for name, files in _enclaves_in(root)
-        if name
-        and not _OWN.isdisjoint(files)
-        and not (CERTIFICATE in files and exists(f"{root}/{ENCLAVES}{name}/{CERTIFICATE}"))
-    )
-
-
 def names_in(root: Path) -> list[str]:
     """The enclaves under `root` that have a certificate, sorted.
 
     FileError if a folder cannot be read.
     """
-    return sorted(
-        name or "/."
-        for name, files in _enclaves_in(root)
-        if CERTIFICATE in files and exists(f"{root}/{ENCLAVES}{name}/{CERTIFICATE}")
-    )
+    names, _ = enclaves_in(root)
+    return names
+
+
+def enclaves_in(root: Path) -> tuple[list[str], list[str]]:
+    """The same, and those with files of a participant but no certificate, sorted."""
+    names, incomplete = list[str](), list[str]()
+    for name, files in _enclaves_in(root):
+        if CERTIFICATE in files and exists(f"{root}/{ENCLAVES}{name}/{CERTIFICATE}"):
+            names.append(name or "/.")
+        elif name and not _OWN.isdisjoint(files):
+            incomplete.append(name)
+    return sorted(names), sorted(incomplete)
 
 
 def _enclaves_in(root: Path) -> Iterator[tuple[str, list[str]]]:

@@ -89,7 +89,7 @@ def fleet_in(
     governance = shared_governance(keystore, check)
     members, refused = list[DocumentOwner](), dict[str, str]()
     inputs = dict[str, PolicyInput]()
-    for name in (*keystore.names(), *keystore.incomplete()):
+    for name in keystore.names_of_all():
         try:
             subject = identity_of(keystore, name, anchors, now).subject_name
             own = own_permissions(keystore, name, now, check)

@@ -52,7 +52,7 @@ class PolicyInput:
 
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     """The path of that file of a participant, which may not exist."""
-    return keystore.root / f"{ENCLAVES}{regular_name(name)}" / file
+    return keystore.root / f"{ENCLAVES}{regular_name(name)}/{file}"
 
 
 def valid_anchors(anchors: TrustAnchors, now: datetime) -> TrustAnchors:

@@ -14,10 +14,10 @@ MAX_DEPTH = 24
 MAX_CHILDREN = 4096
 MAX_SIZE = 1 << 20
 """Bytes. A signature without the document is a few kB; with certificates, tens of kB."""
-_CERTIFICATE_DEPTH = 4
-"""ContentInfo, [0], SignedData, [0] certificates, Certificate (RFC 5652 3, 5.1)."""
-_MAX_CERTIFICATE = 64 << 10
-"""Bytes; larger ones are not remembered."""
+_SHARED_DEPTH = 3
+"""ContentInfo, [0], SignedData, and what is in it (RFC 5652 3, 5.1)."""
+_MAX_SHARED = 64 << 10
+"""Bytes; larger values are not remembered."""
 _CONSTRUCTED, _LONG_TAG, _CLASS = 0x20, 0x1F, 0xC0
 _SEQUENCE, _SET, _OCTET_STRING = 0x30, 0x31, 0x04
 _NOT_CONSTRUCTED = {_SEQUENCE & ~_CONSTRUCTED, _SET & ~_CONSTRUCTED}
@@ -71,25 +71,30 @@ def _convert(data: bytes, start: int, end: int, depth: int) -> tuple[bytes, int]
         if tag in _CONTENT and not _CONTENT[tag][1].fullmatch(data, start, stop):
             raise MalformedError(f"a broken {_CONTENT[tag][0]}")
         return _value(tag, data[start:stop]), stop
-    if depth == _CERTIFICATE_DEPTH and tag == _SEQUENCE and length and length < _MAX_CERTIFICATE:
-        return _remembered(data[start : start + length]), start + length
+    if depth >= _SHARED_DEPTH and length and length < _MAX_SHARED:
+        return _shared(tag, data[start : start + length], depth), start + length
     children, stop = _children(
         data, start, end if length is None else start + length, depth, length
     )
+    return _joined(tag, children), stop
+
+
+@lru_cache(maxsize=32)
+def _shared(tag: int, content: bytes, depth: int) -> bytes:
+    """DER of a constructed value: all signatures by a CA have its name, certificate, algorithms."""
+    children, _ = _children(content, 0, len(content), depth, len(content))
+    return _joined(tag, children)
+
+
+def _joined(tag: int, children: list[bytes]) -> bytes:
+    """DER of the constructed value with these parts, in DER."""
     if tag == _OCTET_STRING | _CONSTRUCTED:
-        return _value(_OCTET_STRING, b"".join(map(_octets, children))), stop
+        return _value(_OCTET_STRING, b"".join(map(_octets, children)))
     if tag & _CLASS == 0 and tag not in {_SEQUENCE, _SET}:
         raise MalformedError("a value in pieces, which DER does not have")
     if tag == _SET:
         children.sort()
-    return _value(tag, b"".join(children)), stop
-
-
-@lru_cache(maxsize=16)
-def _remembered(content: bytes) -> bytes:
-    """DER of a sequence at that depth: all signatures by a CA contain the CA's certificate."""
-    children, _ = _children(content, 0, len(content), _CERTIFICATE_DEPTH, len(content))
-    return _value(_SEQUENCE, b"".join(children))
+    return _value(tag, b"".join(children))
 
 
 def _children(

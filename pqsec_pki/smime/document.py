@@ -10,7 +10,7 @@ from datetime import datetime
 from enum import StrEnum
 from itertools import islice
 
-from pqsec_pki._asn1 import SignedData, SignerInfo, raw
+from pqsec_pki._asn1 import TLV, SignedData, SignerInfo, raw
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, SignatureAlgorithm
 from pqsec_pki.certificates import Certificate
@@ -67,12 +67,20 @@ class Verified:
     signatures: tuple[FoundSignature, ...]
     unchecked: int
     """Number of countersignatures that were not checked, since their certificate was not given."""
-    message: bytes = field(repr=False)
-    """The S/MIME file in pqsec's canonical form, with verified content only. Install and pass on
-    this file, not the one received. Unchecked countersignatures are in it only if no
-    certificate was given to check any."""
-    lines_before: int = 0
+    lines_before: int
     """Number of lines of the file that was read before the document."""
+    _parts: tuple[bytes, SignerInfo, list[SignerInfo], TLV | None] = field(
+        repr=False, compare=False
+    )
+
+    @property
+    def message(self) -> bytes:
+        """The S/MIME file in pqsec's canonical form, with verified content only.
+
+        Install and pass on this file, not the one received. Unchecked countersignatures are in it
+        only if no certificate was given to check any.
+        """
+        return _canonical.file_of(*self._parts)
 
 
 def sign(
@@ -143,9 +151,9 @@ def verify(
         raise VerificationError(*problems)
     kept = [counter for counter, _ in signatures] if alternative_ca else counters
     certificate = raw(ca.der) if data.certificates else None
-    canonical = _canonical.file_of(reading.content, info, kept, certificate)
     unchecked = len(counters) - len(signatures)
-    return Verified(document, found, unchecked, canonical, reading.lines_before)
+    parts = reading.content, info, kept, certificate
+    return Verified(document, found, unchecked, reading.lines_before, parts)
 
 
 def document_in(message: bytes | SignedFile) -> bytes:
