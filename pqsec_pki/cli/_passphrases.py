@@ -13,7 +13,7 @@ from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import PassphraseError, UsageError, located
 
 if TYPE_CHECKING:
-    from pqsec_pki.keystore import Authorities, Keystore
+    from pqsec_pki.keystore import Authorities, Keystore, SigningCa
 
 VARIABLE = "PQSEC_PASSPHRASE_FILE"
 PIN_VARIABLE = "PQSEC_PIN_FILE"
@@ -53,14 +53,17 @@ def weak_option(command: _settings.Command) -> _settings.Command:
     return add(command)
 
 
-def unlock(keystore: "Keystore", passphrase_file: Path | None) -> "Authorities":
-    """The keystore's CAs, unlocked with the passphrase from the file or the terminal."""
-    return keystore.unlock(of_cas(keystore, passphrase_file), pin)
+def unlock(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa") -> "Authorities":
+    """The keystore's CAs, unlocked with the passphrase from the file or the terminal.
+
+    With `cas`, only those: the keys of others may be on another machine.
+    """
+    return keystore.unlock(of_cas(keystore, passphrase_file, *cas), pin, cas)
 
 
-def of_cas(keystore: "Keystore", passphrase_file: Path | None) -> bytes | None:
-    """The passphrase of the CA keys; None if they are not encrypted."""
-    if not keystore.is_locked:
+def of_cas(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa") -> bytes | None:
+    """The passphrase of the keys of `cas`, or of all CAs; None if they are not encrypted."""
+    if not keystore.is_locked(cas):
         return None
     if passphrase_file:
         return _read(passphrase_file)

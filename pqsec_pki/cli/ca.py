@@ -1,5 +1,6 @@
 """pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
+from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 
@@ -14,7 +15,7 @@ from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Keystore, Overlap, key_algorithms
+from pqsec_pki.keystore import Keystore, Overlap, SigningCa, ca_key_files, key_algorithms
 from pqsec_pki.lifecycle import renew_list
 
 
@@ -216,7 +217,7 @@ def crl(
             hint="`pqsec revoke` issues one, or `pqsec ca crl` an empty one",
         )
     if found is None:
-        authorities = _passphrases.unlock(keystore, passphrase_file)
+        authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.IDENTITY)
         found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
     if out:
         with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):
@@ -288,11 +289,17 @@ def _show(keystore: Keystore) -> None:
 
 def _keys(keystore: Keystore) -> str:
     """Whether the CA keys are encrypted, in tokens, missing, or not readable for this user."""
+    found = {ca: _keys_of(keystore, ca) for ca in SigningCa}
+    if len({*found.values()}) == 1:
+        return found[SigningCa.IDENTITY]
+    return ", ".join(f"those of the {ca} {words}" for ca, words in found.items())
+
+
+def _keys_of(keystore: Keystore, ca: SigningCa) -> str:
     try:
-        outside = len(keystore.key_uris)
-        if outside == len(key_algorithms(keystore.profile)):
+        if len(keystore.key_uris([ca])) == len(ca_key_files(keystore.profile, [ca])):
             return "not in files"
-        return "encrypted" if keystore.is_locked else "not encrypted"
+        return "encrypted" if keystore.is_locked([ca]) else "not encrypted"
     except KeystoreError:
         return "not here"
     except FileError:
@@ -300,11 +307,12 @@ def _keys(keystore: Keystore) -> str:
 
 
 def _uris(keystore: Keystore) -> dict[str, str]:
-    """The CA keys that are not in files; none if that cannot be read."""
-    try:
-        return keystore.key_uris
-    except (KeystoreError, FileError):
-        return {}
+    """The CA keys that are not in files; without those of a CA that cannot be read."""
+    found: dict[str, str] = {}
+    for ca in SigningCa:
+        with suppress(KeystoreError, FileError):
+            found |= keystore.key_uris([ca])
+    return found
 
 
 def _described(profile: Profile) -> str:

@@ -19,7 +19,7 @@ from pqsec_pki.cli._participant_options import (
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Authorities, Keystore, is_several
+from pqsec_pki.keystore import Authorities, Keystore, SigningCa, is_several
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
 from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -65,6 +65,11 @@ from pqsec_pki.smime import document_in
 @_bundles.seal_option
 @click.option("--force", is_flag=True, help="Replace existing participants.")
 @click.option("--after-revocation", is_flag=True, help="Also issue participants that were revoked.")
+@click.option(
+    "--certificate-only",
+    is_flag=True,
+    help="Leave the permissions to `pqsec permit`: no key of the permissions CA is needed.",
+)
 @_bundles.compromised_option
 @_passphrases.option
 @_settings.command_options
@@ -79,6 +84,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     *,
     force: bool,
     after_revocation: bool,
+    certificate_only: bool,
     compromised_keys: bool,
     **how: Any,
 ) -> None:
@@ -92,13 +98,15 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     --csr the keys stay on the robot, and bundles for `pqsec install` are written.
     """
     wanted = ParticipantOptions.of(**how)
+    if certificate_only:
+        _refuse_rights(wanted, domains, folder, seal_for)
     if not requests:
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
     keys = _requested(keystore, requests, names, patterns) if requests else {}
     names = tuple(keys) or _matching(keystore, wanted, names)
-    into = (folder or Path()) if requests else None
+    into = (folder or Path()) if requests and not certificate_only else None
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
     specs = [replace(spec, keys=keys.get(spec.name)) for spec in wanted.specs(names, domain_set)]
     if into:  # refused before the passphrase is asked for
@@ -106,7 +114,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     governance, recipient = _read_governance(keystore), _bundles.recipient(seal_for)
     issued, bundles = _made(
         keystore,
-        _passphrases.unlock(keystore, passphrase_file),
+        _unlocked(keystore, passphrase_file, certificate_only=certificate_only),
         specs,
         into,
         recipient,
@@ -114,8 +122,10 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         force=force,
         after_revocation=after_revocation,
         compromised_keys=compromised_keys,
+        **({"sign_permissions": False} if certificate_only else {}),
     )
-    _warn(governance, specs)
+    if not certificate_only:
+        _warn(governance, specs)
     note_doubtful_topics(keystore, [spec.name for spec in specs if spec.has_rights])
     note_unsigned_governance(keystore)
     print_issued(keystore, issued, bundles)
@@ -147,6 +157,26 @@ def _made(
         keystore, authorities, specs, into, recipient=recipient, **choices
     )
     return [each.issued for each in bundles], bundles
+
+
+def _unlocked(
+    keystore: Keystore, passphrase_file: Path | None, *, certificate_only: bool
+) -> Authorities:
+    cas = (SigningCa.IDENTITY,) if certificate_only else ()
+    return _passphrases.unlock(keystore, passphrase_file, *cas)
+
+
+def _refuse_rights(wanted: ParticipantOptions, domains: str | None, *bundles: Path | None) -> None:
+    if wanted.publish or wanted.subscribe or wanted.policy or domains is not None:
+        raise UsageError(
+            "--certificate-only and rights exclude each other",
+            hint="give the rights where the permissions CA's key is: `pqsec permit`",
+        )
+    if any(bundles):
+        raise UsageError(
+            "--certificate-only writes no bundles: they need permissions",
+            hint="write them when the permissions are signed: `pqsec bundle`",
+        )
 
 
 def _refuse_without_requests(patterns: tuple[str, ...], *others: Path | None) -> None:

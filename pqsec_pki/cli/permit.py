@@ -20,7 +20,7 @@ from pqsec_pki.cli._participant_options import note_doubtful_topics, topic_optio
 from pqsec_pki.cli.diff import difference_lines, note_incomplete
 from pqsec_pki.documents import DomainSet, Grant
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, SigningCa
 from pqsec_pki.lifecycle import PermissionsChange, changed_permissions, sign_changed
 from pqsec_pki.policy import DocumentDifference
 
@@ -88,7 +88,7 @@ def permit(
     if changes:
         if not yes:
             _ask(changes, differences)
-        authorities = _passphrases.unlock(keystore, passphrase_file)
+        authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
         sign_changed(keystore, authorities, changes, now=now)
         note_doubtful_topics(keystore, [each.name for each in changes])
     _report(keystore, changes, differences, complete=complete, shown=not yes)

@@ -15,7 +15,7 @@ from pqsec_pki.certificates import verify_authority
 from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
 from pqsec_pki.credentials import only_certificate
 from pqsec_pki.errors import KeystoreError, UsageError, located
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, SigningCa
 from pqsec_pki.report import (
     Changes,
     Report,
@@ -185,7 +185,7 @@ def _signing(
 ) -> Callable[[bytes], bytes]:
     """What signs a text as S/MIME, with its certificate in it."""
     if signer is None:
-        authorities = _passphrases.unlock(keystore, passphrase_file)
+        authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
         return partial(authorities.sign, now=_settings.now(), embed_certificate=True)
     place, key_file = signer
     certificate = only_certificate(read(place), str(place))

@@ -10,7 +10,7 @@ from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import named
-from pqsec_pki.keystore import Entry, Keystore
+from pqsec_pki.keystore import Entry, Keystore, SigningCa
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
 from pqsec_pki.lifecycle import revoke as revoke_subjects
 
@@ -81,7 +81,7 @@ def revoke(
     chosen = named(keystore, subjects)
     if not yes:
         _ask(revocable(keystore, chosen, now=now))
-    authorities = _passphrases.unlock(keystore, passphrase_file)
+    authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.IDENTITY)
     revoked, made = revoke_subjects(
         keystore, authorities, chosen, reason=Reason(reason), now=now, validity=validity
     )

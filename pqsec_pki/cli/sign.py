@@ -17,6 +17,7 @@ from pqsec_pki.documents import (
     permissions_from_yaml,
 )
 from pqsec_pki.errors import FileError, located
+from pqsec_pki.keystore import SigningCa
 from pqsec_pki.lifecycle import sign_document
 
 
@@ -116,7 +117,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
         kind,
         document,
         goal,
-        _passphrases.unlock(keystore, passphrase_file),
+        _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS),
         now=_settings.now(),
         embed_certificate=embed_certificate,
         force=force,

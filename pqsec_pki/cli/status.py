@@ -103,6 +103,10 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     standing = standing.only(set(map(State, states)) or None, domain, expires_before)
     robots = robot_states(keystore, standing.participants)
     rows = [{**each.to_json(), **robots[each.name].to_json()} for each in standing.participants]
+    if unsigned := [each.name for each in standing.participants if not each.permissions]:
+        _printing.note(
+            f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
+        )
     if prometheus:
         write_metrics(prometheus, keystore, standing, robots)
     _formats.emit(

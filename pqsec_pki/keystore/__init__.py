@@ -51,6 +51,8 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
         Authorities,
+        SigningCa,
+        ca_key_files,
         check_pair,
         key_algorithms,
         load_ca_key,
@@ -121,12 +123,14 @@ __all__ = [
     "Receipt",
     "RobotState",
     "SharedStatus",
+    "SigningCa",
     "StagedFolder",
     "State",
     "Status",
     "Transaction",
     "audit",
     "bundle_number",
+    "ca_key_files",
     "certificate_entry",
     "change",
     "check_pair",

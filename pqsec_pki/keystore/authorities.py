@@ -1,7 +1,8 @@
 """The CAs of a keystore with their private keys, for issuing and signing."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
+from enum import StrEnum
 from pathlib import Path
 from typing import Self, TypeVar
 
@@ -36,6 +37,36 @@ Item = TypeVar("Item")
 _KEYLESS = (
     "status, log, check, explain, who-may, diff, verify-handshake, bundle and export need no CA key"
 )
+
+
+class SigningCa(StrEnum):
+    """A CA whose private keys a command needs."""
+
+    IDENTITY = "identity CA"
+    PERMISSIONS = "permissions CA"
+    """With its countersigner."""
+
+    @property
+    def key_files(self) -> tuple[str, str]:
+        """The names of the files of its keys; the second only if it has a second key."""
+        if self is SigningCa.IDENTITY:
+            return layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY
+        return layout.PERMISSIONS_KEY, layout.PERMISSIONS_ALT_KEY
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ClosedKey(PrivateKey):
+    """The key of a CA that was not opened; its file was not read, and need not exist."""
+
+    def sign(self, data: bytes) -> bytes:
+        """KeystoreError: a command opens the keys that it signs with."""
+        del data
+        raise KeystoreError("the CA's private key was not opened")
+
+    @classmethod
+    def of(cls, public: PublicKey) -> Self:
+        """The closed key with that public key."""
+        return cls(public.algorithm, public, None)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -152,37 +183,50 @@ class Authorities:
 
 
 def unlock(
-    root: Path, profile: Profile, passphrase: bytes | None, pin: Pin | None = None
+    root: Path,
+    profile: Profile,
+    passphrase: bytes | None,
+    pin: Pin | None = None,
+    cas: Collection[SigningCa] = (),
 ) -> Authorities:
     """The CAs of the keystore at `root`; `pin` gives the PINs of tokens.
 
-    KeystoreError if a file is missing or a key does not fit its certificate,
-    PassphraseError if the keys are encrypted and `passphrase` is missing or wrong, or a PIN is.
+    With `cas`, only their keys are read; signing with another raises KeystoreError. KeystoreError
+    if a file is missing or a key does not fit its certificate, PassphraseError if the keys are
+    encrypted and `passphrase` is missing or wrong, or a PIN is.
     """
-    private = root / layout.PRIVATE
-    names = list(key_algorithms(profile))
+    cas = cas or tuple(SigningCa)
+    names = ca_key_files(profile, cas)
+    private, public = root / layout.PRIVATE, root / layout.PUBLIC
     loaded = _each(lambda name: load_ca_key(private / name, passphrase, pin), names, passphrase)
     keys = dict(zip(names, loaded, strict=True))
-    public = root / layout.PUBLIC
-    counter_key = keys.get(layout.PERMISSIONS_ALT_KEY)
+
+    def authority(ca: SigningCa, certificate: str, key: str, second: str = "") -> Authority:
+        found = load_first_certificate(public / certificate)
+        if ca in cas:
+            return Authority(found, keys[key], keys.get(second))
+        closed = map(_ClosedKey.of, filter(None, (found.public_key, found.alternative_key)))
+        return Authority(found, *closed)
+
+    signing = SigningCa.PERMISSIONS
     authorities = Authorities(
-        identity=Authority(
-            load_first_certificate(public / layout.IDENTITY_CA),
-            keys[layout.IDENTITY_KEY],
-            keys.get(layout.IDENTITY_ALT_KEY),
+        identity=authority(
+            SigningCa.IDENTITY, layout.IDENTITY_CA, layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY
         ),
-        permissions=Authority(
-            load_first_certificate(public / layout.PERMISSIONS_CA), keys[layout.PERMISSIONS_KEY]
-        ),
-        countersigner=Authority(
-            load_first_certificate(public / layout.PERMISSIONS_ALT_CA), counter_key
-        )
-        if counter_key
+        permissions=authority(signing, layout.PERMISSIONS_CA, layout.PERMISSIONS_KEY),
+        countersigner=authority(signing, layout.PERMISSIONS_ALT_CA, layout.PERMISSIONS_ALT_KEY)
+        if profile.alternative_key
         else None,
         embed_certificate=profile.runs_in_stock,
     )
     _check_pairs(authorities)
     return authorities
+
+
+def ca_key_files(profile: Profile, cas: Collection[SigningCa] = ()) -> list[str]:
+    """The names of the files of the keys of `cas`, or of all CAs."""
+    wanted = {name for each in cas or SigningCa for name in each.key_files}
+    return [name for name in key_algorithms(profile) if name in wanted]
 
 
 def _each(
@@ -241,8 +285,9 @@ def read_ca_key(path: Path) -> bytes:
     except MissingError:
         raise KeystoreError(
             "the CA's private key is not here",
-            hint="put it back for this command; or, if it is kept on an offline machine, sign"
-            f" requests there: `pqsec sign-request`. {_KEYLESS}",
+            hint="put it back for this command; or, if it is kept on another machine, work there:"
+            " `pqsec sign-request`; with each CA on a machine of its own, `pqsec issue"
+            f" --certificate-only` and `pqsec permit`. {_KEYLESS}",
             where=path,
         ) from None
     except FileError as error:

@@ -1,6 +1,6 @@
 """A keystore: created once by `ca init`, and opened by every later command."""
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import field, replace
 from datetime import datetime, timedelta
@@ -21,7 +21,13 @@ from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import Authorities, key_algorithms, read_ca_key, unlock
+from pqsec_pki.keystore.authorities import (
+    Authorities,
+    SigningCa,
+    ca_key_files,
+    read_ca_key,
+    unlock,
+)
 from pqsec_pki.keystore.groups import read_groups
 from pqsec_pki.keystore.participant import (
     enclave_files,
@@ -211,34 +217,38 @@ class Keystore:
         with self.open_ledger() as ledger:
             return ledger.head
 
-    def unlock(self, passphrase: bytes | None, pin: Pin | None = None) -> Authorities:
+    def unlock(
+        self,
+        passphrase: bytes | None,
+        pin: Pin | None = None,
+        cas: Collection[SigningCa] = (),
+    ) -> Authorities:
         """The CAs with their private keys; PassphraseError if `passphrase` or a PIN is wrong.
 
-        `pin` gives the PIN of a token [default: only files that the keys' URIs name].
+        `pin` gives the PIN of a token [default: only files that the keys' URIs name]. With `cas`,
+        only their keys are read, and can sign; those of others may be on another machine.
         """
-        return unlock(self.root, self.profile, passphrase, pin)
+        return unlock(self.root, self.profile, passphrase, pin, cas)
 
-    @property
-    def is_locked(self) -> bool:
-        """Whether at least one CA key is encrypted; in an adopted keystore it may be only one."""
-        return any(map(is_encrypted, self._ca_key_files().values()))
+    def is_locked(self, cas: Collection[SigningCa] = ()) -> bool:
+        """Whether a key of `cas`, or of any CA, is encrypted; an adopted keystore may have one."""
+        return any(map(is_encrypted, self._ca_key_files(cas).values()))
 
-    @property
-    def key_uris(self) -> dict[str, str]:
-        """The URIs of the CA keys that are not in files, by the names of the files.
+    def key_uris(self, cas: Collection[SigningCa] = ()) -> dict[str, str]:
+        """The URIs of the keys of `cas`, or of all CAs, that are not in files, by file name.
 
         MalformedError for a damaged reference; other errors as of `read_ca_key`.
         """
         found = {}
-        for name, data in self._ca_key_files().items():
+        for name, data in self._ca_key_files(cas).items():
             with located(self.root / layout.PRIVATE / name):
                 if is_reference(data):
                     found[name] = uri_in(data)
         return found
 
-    def _ca_key_files(self) -> dict[str, bytes]:
+    def _ca_key_files(self, cas: Collection[SigningCa] = ()) -> dict[str, bytes]:
         private = self.root / layout.PRIVATE
-        return {name: read_ca_key(private / name) for name in key_algorithms(self.profile)}
+        return {name: read_ca_key(private / name) for name in ca_key_files(self.profile, cas)}
 
     def names(self) -> list[str]:
         """The participants' names, sorted; FileError if a folder cannot be read."""

@@ -101,7 +101,10 @@ def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[
         lost = [_target(folder / each) for each in missing if each in links]
         hint = f"restore {', '.join(lost)}, which all participants share" if lost else None
         if layout.PERMISSIONS in missing:
-            hint = hint or f"restore it, or issue it again: pqsec issue {name} --force ..."
+            hint = hint or (
+                f"restore it, or issue it again: pqsec issue {name} --force ...; if it was issued"
+                f" with --certificate-only: pqsec permit {name} ..."
+            )
         raise KeystoreError(
             f"{folder} lacks {', '.join(missing)}", hint=hint, code=Code.FILE_MISSING
         )

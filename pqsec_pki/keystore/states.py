@@ -76,7 +76,7 @@ class ParticipantState:
     profile: str | None
     """None if the ledger line is older than this detail."""
     domains: str | None
-    """The domains that its permissions allowed when it was issued: 0,2-5."""
+    """The domains that its newest permissions allow: 0,2-5."""
     keys: str
     """Hashes of the certified keys, as of `key_hashes`; empty if not known."""
     requested: bool

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import read
+from pqsec_pki._files import exists, read
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import Permissions
@@ -104,8 +104,18 @@ class Inspector:
             raise _stale(path, name, "certificate")
         return found
 
+    def lacks_permissions(self, name: str, folder: Path) -> bool:
+        """Whether `name` was certified, but no permissions were signed for it yet."""
+        signed = self.participants[name].permissions_line or exists(folder / layout.PERMISSIONS)
+        return not signed
+
     def signed_permissions(self, name: str, folder: Path) -> bytes:
         """The newest signed permissions of `name`; KeystoreError if `folder` has others."""
+        if self.lacks_permissions(name, folder):
+            raise KeystoreError(
+                f"no permissions were signed for {name} yet",
+                hint=f"`pqsec permit {name}` signs them, with the permissions CA's key",
+            )
         path = folder / layout.PERMISSIONS
         signed = read(path)
         number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)

@@ -1,7 +1,7 @@
 """Creates the files of one participant, for issuing and for renewing."""
 
 from collections.abc import Iterable
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
@@ -45,8 +45,8 @@ class Issued:
     certificate_size: int
     """Bytes of cert.pem, which is sent in every handshake."""
     permissions_size: int
-    """Bytes of permissions.p7s, which is sent in every handshake."""
-    entries: tuple[Entry, Entry] = field(repr=False)
+    """Bytes of permissions.p7s, which is sent in every handshake; 0 if it is not signed yet."""
+    entries: tuple[Entry, ...] = field(repr=False)
 
     @property
     def row(self) -> tuple[str, str, str]:
@@ -88,7 +88,7 @@ class Issuer:
         folder: StagedFolder,
         name: str,
         certificate: Certificate,
-        permissions: Permissions,
+        permissions: Permissions | None,
         *,
         asked: datetime,
         config_digest: str = "",
@@ -96,14 +96,18 @@ class Issuer:
     ) -> Issued:
         """Stage the certificate and signed permissions; `asked` is the end that was asked for.
 
-        `config_digest` and `request`, the hash of the request, are copied into the ledger.
+        Without permissions, only the certificate. `config_digest` and `request`, the hash of the
+        request, are copied into the ledger.
         """
         extra = {"mark": config_digest, "request": request or ""}
-        document = permissions.to_xml()
-        signed = self.authorities.sign(document, now=self.now)
         folder.public(layout.CERTIFICATE, certificate.pem)
-        folder.public(layout.PERMISSIONS_XML, document)
-        folder.public(layout.PERMISSIONS, signed)
+        entries = [self._certificate_entry(name, certificate, permissions, extra)]
+        signed = b""
+        if permissions:
+            signed, entry = stage_permissions(
+                folder, self.authorities, name, permissions, now=self.now
+            )
+            entries.append(entry)
         return Issued(
             name=name,
             folder=self.keystore.root / layout.enclave_folder(name),
@@ -112,15 +116,17 @@ class Issuer:
             shortened=certificate.not_after < asked,
             certificate_size=len(certificate.pem),
             permissions_size=len(signed),
-            entries=(
-                self._certificate_entry(name, certificate, permissions, extra),
-                document_entry("permissions", name, signed, self.now),
-            ),
+            entries=tuple(entries),
         )
 
     def _certificate_entry(
-        self, name: str, certificate: Certificate, permissions: Permissions, extra: dict[str, str]
+        self,
+        name: str,
+        certificate: Certificate,
+        permissions: Permissions | None,
+        extra: dict[str, str],
     ) -> Entry:
+        domains = domains_of(permissions, certificate.subject_name) if permissions else ""
         return certificate_entry(
             "participant",
             name,
@@ -129,10 +135,34 @@ class Issuer:
             issuer=self.authorities.identity.certificate,
             details={
                 "profile": self.keystore.profile.name,
-                "domains": domains_of(permissions, certificate.subject_name),
+                "domains": domains,
             }
             | {key: text for key, text in extra.items() if text},
         )
+
+
+def stage_permissions(  # noqa: PLR0913 -- used within this room only
+    folder: StagedFolder,
+    authorities: Authorities,
+    name: str,
+    permissions: Permissions,
+    *,
+    now: datetime,
+    subject: str = "",
+    config_digest: str = "",
+) -> tuple[bytes, Entry]:
+    """Sign the permissions of `name` and stage both files. Returns the S/MIME file and its entry.
+
+    With the subject of its certificate, the entry has the domains that are allowed now.
+    """
+    document = permissions.to_xml()
+    signed = authorities.sign(document, now=now)
+    folder.public(layout.PERMISSIONS_XML, document)
+    folder.public(layout.PERMISSIONS, signed)
+    details = {"mark": config_digest} if config_digest else {}
+    if subject:
+        details["domains"] = domains_of(permissions, subject)
+    return signed, replace(document_entry("permissions", name, signed, now), details=details)
 
 
 def domains_of(permissions: Permissions, subject: str) -> str:

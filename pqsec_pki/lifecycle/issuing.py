@@ -59,9 +59,12 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     force: bool = False,
     after_revocation: bool = False,
     compromised_keys: bool = False,
+    sign_permissions: bool = True,
 ) -> list[Issued]:
     """Issue all participants in `specs`, or none if one fails.
 
+    Without `sign_permissions` they get certificates only, which needs no key of the permissions
+    CA; `changed_permissions` and `sign_changed` give them rights.
     Names must differ. ExistsError for participants that exist already, unless `force`;
     KeystoreError for revoked participants, unless `after_revocation`; VerificationError for
     keys that were revoked as compromised, unless `compromised_keys`, and for keys of another
@@ -81,14 +84,20 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
         ]
         for spec in specs:
             _clear(transaction, spec)
-        issued = shared_out(partial(_make, issuer, shared), specs, folders)
+        make = partial(_make, issuer, shared, sign_permissions=sign_permissions)
+        issued = shared_out(make, specs, folders)
         for each in issued:
             transaction.record(*each.entries)
     return issued
 
 
 def _make(
-    issuer: Issuer, shared: dict[str, str], spec: ParticipantSpec, folder: StagedFolder
+    issuer: Issuer,
+    shared: dict[str, str],
+    spec: ParticipantSpec,
+    folder: StagedFolder,
+    *,
+    sign_permissions: bool,
 ) -> Issued:
     keys = spec.keys or issuer.new_keys(folder)
     certificate = issuer.authorities.identity.issue(
@@ -98,7 +107,7 @@ def _make(
         folder.public(layout.REQUEST, keys.csr)
     for link, target in layout.shared_links(spec.name, shared).items():
         folder.link(link, target)
-    permissions = permissions_for(spec, certificate)
+    permissions = permissions_for(spec, certificate) if sign_permissions else None
     asked = end_of(issuer.now, spec.validity)
     return issuer.stage(
         folder,

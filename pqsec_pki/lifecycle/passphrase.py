@@ -15,7 +15,7 @@ def change_passphrase(
     key that is a link, because its target would not change, and during an overlap before the
     switch.
     """
-    if len(keystore.key_uris) == len(key_algorithms(keystore.profile)):
+    if len(keystore.key_uris()) == len(key_algorithms(keystore.profile)):
         raise KeystoreError(
             "no CA key is in a file: there is nothing to encrypt",
             hint="the tokens have PINs; their own tools change them",

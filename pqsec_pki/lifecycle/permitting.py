@@ -5,12 +5,13 @@ permissions and edits them, and `sign_changed` signs the result, unless they wer
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
-from pqsec_pki.documents import Grant, Permissions
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import KeystoreError, located
 from pqsec_pki.keystore import (
     PERMITTED,
@@ -19,10 +20,10 @@ from pqsec_pki.keystore import (
     Keystore,
     StagedFolder,
     change,
-    document_entry,
     layout,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import stage_permissions
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,10 +31,13 @@ class PermissionsChange:
     """The permissions of a participant before and after a change of rights."""
 
     name: str
-    old: Permissions
+    old: Permissions | None
+    """None if none were signed yet."""
     new: Permissions
     config_digest: str = ""
     """Of the domain file that the participant is in; empty if it is in none."""
+    subject: str = ""
+    """The subject of its certificate."""
 
 
 def changed_permissions(
@@ -76,25 +80,33 @@ def sign_changed(
 
         def sign(wanted: PermissionsChange, folder: StagedFolder) -> Entry:
             there = keystore.root / layout.enclave_folder(wanted.name)
-            if inspector.permissions(wanted.name, there) != wanted.old:
+            if _signed(inspector, wanted.name, there) != wanted.old:
                 raise KeystoreError(
                     f"the permissions of {wanted.name} were changed by another command",
                     hint="run this command again: it shows the change to the new permissions",
                 )
-            document = wanted.new.to_xml()
-            signed = authorities.sign(document, now=now)
-            folder.public(layout.PERMISSIONS_XML, document)
-            folder.public(layout.PERMISSIONS, signed)
-            entry = document_entry("permissions", wanted.name, signed, now)
-            return replace(entry, details={"mark": PERMITTED + wanted.config_digest})
+            _, entry = stage_permissions(
+                folder,
+                authorities,
+                wanted.name,
+                wanted.new,
+                now=now,
+                subject=wanted.subject,
+                config_digest=PERMITTED + wanted.config_digest,
+            )
+            return entry
 
         transaction.record(*shared_out(sign, changes, folders))
 
 
 def _changed(inspector: Inspector, name: str, edit: Callable[[Grant], Grant]) -> PermissionsChange:
     folder = inspector.keystore.root / layout.enclave_folder(name)
-    subject = inspector.certificate(name, folder).subject_name
-    old = inspector.permissions(name, folder)
+    certificate = inspector.certificate(name, folder)
+    subject = certificate.subject_name
+    old = _signed(inspector, name, folder)
+    if old is None:
+        least = _least(certificate, name, inspector.keystore.domains)
+        return PermissionsChange(name, None, Permissions(grants=(edit(least),)), subject=subject)
     with located(folder / layout.PERMISSIONS):
         own = old.grants_for(subject)
         if not own:
@@ -102,4 +114,22 @@ def _changed(inspector: Inspector, name: str, edit: Callable[[Grant], Grant]) ->
     grants = [edit(grant) if grant in own else grant for grant in old.grants]
     new = Permissions(grants=tuple(grants))
     digest = inspector.config_digest(name, folder).removeprefix(PERMITTED)
-    return PermissionsChange(name, old, new, digest)
+    return PermissionsChange(name, old, new, digest, subject)
+
+
+def _signed(inspector: Inspector, name: str, folder: Path) -> Permissions | None:
+    """The newest permissions of `name`; None if none were signed yet."""
+    if inspector.lacks_permissions(name, folder):
+        return None
+    return inspector.permissions(name, folder)
+
+
+def _least(certificate: Certificate, name: str, domains: DomainSet) -> Grant:
+    """A grant that allows nothing."""
+    return Grant.least(
+        name=name,
+        subject_name=certificate.subject_name,
+        not_before=certificate.not_before,
+        not_after=certificate.not_after,
+        domains=domains,
+    )

@@ -208,7 +208,7 @@ def refuse_keys_in_files(keystore: Keystore, terms: Rollover, placed: Collection
 
     `placed` are the names of files of new keys for which somebody has said where they are.
     """
-    names = [each for each in keystore.key_uris if each in terms.new_keys and each not in placed]
+    names = [each for each in keystore.key_uris() if each in terms.new_keys and each not in placed]
     if names:
         raise UsageError(
             f"the new keys would lie in files, and now are in tokens: {', '.join(names)}",

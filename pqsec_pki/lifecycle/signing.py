@@ -23,6 +23,7 @@ from pqsec_pki.keystore import (
     layout,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import stage_permissions
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
 
 
@@ -64,8 +65,9 @@ def sign_governance(
         enclaves = transaction.folder(layout.ENCLAVES, private=False)
         enclaves.public(layout.GOVERNANCE_XML, document)
         enclaves.public(layout.GOVERNANCE, signed)
+        entry = document_entry("governance", "", signed, now)
         transaction.record(
-            _with_digest(document_entry("governance", "", signed, now), config_digest)
+            replace(entry, details={"mark": config_digest}) if config_digest else entry
         )
 
 
@@ -112,14 +114,13 @@ class _Signer:
         there = self.keystore.root / layout.enclave_folder(name)
         with disk_errors(there):
             certificate = self.inspector.certificate(name, there)
-        document = permissions_for(spec, certificate).to_xml()
-        signed = self.authorities.sign(document, now=self.now)
-        folder.public(layout.PERMISSIONS_XML, document)
-        folder.public(layout.PERMISSIONS, signed)
-        return _with_digest(
-            document_entry("permissions", name, signed, self.now), spec.config_digest
+        _, entry = stage_permissions(
+            folder,
+            self.authorities,
+            name,
+            permissions_for(spec, certificate),
+            now=self.now,
+            subject=certificate.subject_name,
+            config_digest=spec.config_digest,
         )
-
-
-def _with_digest(entry: Entry, config_digest: str) -> Entry:
-    return replace(entry, details={"mark": config_digest}) if config_digest else entry
+        return entry

@@ -27,7 +27,8 @@ JUSTIFIED = {
     " the robot": SAYS_WHAT,
     "Restore the files that were issued. Or run `pqsec issue` with --force and all rights of the"
     " participant.": SAYS_WHAT,
-    "restore it, or issue it again: pqsec issue * --force ...": SAYS_WHAT,
+    "restore it, or issue it again: pqsec issue * --force ...; if it was issued with"
+    " --certificate-only: pqsec permit * ...": SAYS_WHAT,
     "restore that file, or issue it again: pqsec issue * --force ...": SAYS_WHAT,
     "restore it from a backup; or issue it again, with new keys and permissions: pqsec issue *"
     " --force ...": SAYS_WHAT,

@@ -176,7 +176,7 @@ def test_a_keystore_whose_ca_keys_are_in_tokens_is_adopted(tmp_path):
     (keystore.root / "private/ledger.sqlite3").unlink()
     done = adopt(keystore.root, now=NOW)
     assert (done.refused, done.fitting) == ({}, True)
-    assert len(done.keystore.key_uris) == 4
+    assert len(done.keystore.key_uris()) == 4
 
 
 def test_what_a_profile_promised_is_promised_again(tmp_path):
@@ -412,7 +412,7 @@ def test_an_encrypted_key_is_no_matter_and_either_asks_for_the_passphrase(tmp_pa
         (keystore.root / "private/ledger.sqlite3").unlink()
         done = adopt(keystore.root, now=NOW)
         assert done.refused == {}
-        assert done.keystore.is_locked
+        assert done.keystore.is_locked()
         issue(done.keystore, done.keystore.unlock(b"secret"), [spec("/new")], now=NOW)
 
 

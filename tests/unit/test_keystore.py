@@ -370,8 +370,8 @@ def test_a_folder_that_others_may_write_in_is_refused(root):
 
 def test_a_locked_keystore_opens_with_its_passphrase_only(root):
     keystore = create(root, TRANSITION, passphrase=b"horse")
-    assert keystore.is_locked
-    assert not create(root.with_name("other")).is_locked
+    assert keystore.is_locked()
+    assert not create(root.with_name("other")).is_locked()
     for wrong in (None, b"", b"cow"):
         with pytest.raises(PassphraseError) as caught:
             keystore.unlock(wrong)

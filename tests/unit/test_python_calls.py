@@ -158,7 +158,7 @@ def test_apply_creates_a_keystore_and_changes_it(tmp_path):
     done = apply(read_domain(scene.file), scene.root, passphrase=b"secret", now=NOW)
     assert done.steps[0].action is StepAction.CREATE_CAS
     assert scene.keystore.names() == NAMES
-    assert scene.keystore.is_locked
+    assert scene.keystore.is_locked()
     assert scene.plan().in_order
     # Nothing is left to do: the passphrase is not needed.
     assert not apply(read_domain(scene.file), scene.root, passphrase=None, now=NOW).steps
