@@ -121,7 +121,7 @@ def test_a_damaged_reference_in_a_keystore_is_named(tmp_path):
     path = keystore.root / "private/identity_ca.key.pem"
     path.write_bytes(reference_to(LAB)[:-5])
     with pytest.raises(MalformedError) as refused:
-        _ = keystore.key_uris
+        keystore.key_uris()
     assert refused.value.where == str(path)
 
 
