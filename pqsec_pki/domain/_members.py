@@ -78,7 +78,6 @@ class _Collector:
         self._source = source
         self._settings = settings
         self._places: dict[str, str] = {}
-        self._requests: dict[Path, str] = {}
         self.members: dict[str, Member] = {}
 
     def add(self, entry: ParticipantItem) -> None:
@@ -100,12 +99,7 @@ class _Collector:
         if len(self.members) == MAX_PARTICIPANTS:
             raise refused(each.line, f"more than {MAX_PARTICIPANTS} participants")
         self._places[each.name] = intern(f"{file}line {each.line}")
-        self.members[each.name] = member = self._member(each, entry)
-        if member.request:
-            first = self._requests.setdefault(member.request, each.name)
-            if first != each.name:
-                message = f"{first} and {each.name} cannot have the same request; name a folder"
-                raise refused(each.line, f"{message} with a file for each: a+b.csr for /a/b")
+        self.members[each.name] = self._member(each, entry)
 
     def _member(self, each: ListedName, entry: ParticipantItem) -> Member:
         settings = {**entry.settings, **_columns(each, entry.roles)}

@@ -1,38 +1,49 @@
 """Requests that the domain file names, of participants whose keys are on their robots."""
 
 import os
+from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
+from functools import lru_cache
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain.desired import Member
-from pqsec_pki.enrolment import validate_csrs
-from pqsec_pki.errors import FileError, KeystoreError, PqsecError, VerificationError, located
+from pqsec_pki.enrolment import name_asked_for, validate_csrs
+from pqsec_pki.errors import (
+    FileError,
+    KeystoreError,
+    PqsecError,
+    VerificationError,
+    located,
+    shown,
+)
 from pqsec_pki.keystore import key_hashes
 from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
 
 MAX_FILE = 1 << 20
-"""Bytes; a request with the largest keys has 20 kB."""
+"""Bytes; a request with the largest keys has 20 kB, and a robot several participants."""
 
 
 def is_there(member: Member) -> bool:
-    """Whether the member's request has arrived."""
+    """Whether the file for the member's request has arrived."""
     return member.request is not None and os.path.lexists(member.request)
 
 
 def admitted(member: Member, profile: Profile) -> PublicKeys | None:
     """The keys of the member's request; None if the domain file names no request.
 
-    FileError or MalformedError if it cannot be read. VerificationError if it has another name,
-    keys of other algorithms, or no proof of possession.
+    FileError or MalformedError if it cannot be read. VerificationError if none in the file has
+    its name, or several; and for keys of other algorithms, or no proof of possession.
     """
     if member.request is None:
         return None
     with located(member.request):
-        return validate_csrs([_read(member.request)], profile, names=[member.name])[member.name]
+        found = _by_name(_content(member))
+        if member.name not in found:
+            raise VerificationError(f"no request in it is for {member.name}: {_said(found)}")
+        return validate_csrs(found[member.name], profile, names=[member.name])[member.name]
 
 
 def asks_for_other_keys(member: Member, certified: str) -> bool:
@@ -40,11 +51,11 @@ def asks_for_other_keys(member: Member, certified: str) -> bool:
 
     The request is not verified: that takes long for thousands.
     """
-    if member.request is None or not is_there(member):
+    if not is_there(member):
         return False
     with suppress(PqsecError):
-        request = _read(member.request)
-        return key_hashes(request.public_key, request.alternative_key) != certified
+        own = _by_name(_content(member)).get(member.name, ())
+        return any(key_hashes(each.public_key, each.alternative_key) != certified for each in own)
     return True
 
 
@@ -71,8 +82,27 @@ def hashes_in(keys: PublicKeys | None) -> str:
     return key_hashes(keys.key, keys.alternative) if keys else ""
 
 
-def _read(path: Path) -> CertificateRequest:
-    """Read a request; only a regular file, because others may put a pipe there."""
-    if not os.path.isfile(path):  # noqa: PTH113 -- never raises
+def _content(member: Member) -> bytes:
+    """What is in its file; only a regular one, because others may put a pipe there."""
+    if member.request is None or not os.path.isfile(member.request):  # noqa: PTH113 -- never raises
         raise FileError("there is no file")
-    return CertificateRequest.from_pem(read(path, limit=MAX_FILE))
+    return read(member.request, limit=MAX_FILE)
+
+
+@lru_cache(maxsize=4)
+def _by_name(data: bytes) -> dict[str, list[CertificateRequest]]:
+    """All requests in a file by the names they ask for, cached: many participants may have it.
+
+    One that asks for no participant's name is under its subject, which begins with no slash.
+    """
+    found: dict[str, list[CertificateRequest]] = {}
+    for each in CertificateRequest.all_from_pem(data):
+        name = name_asked_for(each) or each.subject_name or "an empty subject"
+        found.setdefault(name, []).append(each)
+    return found
+
+
+def _said(names: Iterable[str]) -> str:
+    first, *others = names
+    rest = f" and {len(others)} more" if others else ""
+    return f"there is one for {shown(first)}{rest}"

@@ -171,6 +171,18 @@ def robots(pqsec, domain, change, tmp_path):
     return ask
 
 
+def test_the_requests_of_a_robot_are_answered_from_one_file(pqsec, domain, change):
+    change('name: "/r{1..3}", role: robot}', 'name: "/r{1..3}", role: robot, request: robot.csr}')
+    pqsec("request /r1 /r3 --profile classical --dir robot --csr robot.csr").done()
+    told = pqsec("-k k apply --yes --no-passphrase --bundles out")
+    assert (told.code, "issue: 2 (/r1, /r3)" in told.out) == (1, True)
+    words = (
+        "/r2 its request is refused: robot.csr: no request in it is for /r2: there is one for /r1"
+    )
+    assert f"note: {words} and 1 more: not changed" in told.err
+    pqsec("install out/r1.bundle --dir robot --trust-first").done()
+
+
 def test_a_robot_that_asks_is_answered_with_a_bundle_that_it_installs(pqsec, robots, tmp_path):
     told = pqsec("-k k apply --yes --no-passphrase --bundles out")
     assert told.code == 1

@@ -6,10 +6,10 @@ import shutil
 import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
-from pqsec_pki.certificates import Reason, certificate_request
+from pqsec_pki.certificates import Certificate, CertificateRequest, Reason, certificate_request
 from pqsec_pki.domain import Plan, StepAction, create_keystore, read_domain
 from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
-from pqsec_pki.errors import ExistsError, InvalidDocumentError, KeystoreError, VerificationError
+from pqsec_pki.errors import ExistsError, KeystoreError, VerificationError
 from pqsec_pki.keystore import audit, status
 from pqsec_pki.lifecycle import Rollover, renew, revoke
 from tests.unit.domains import DAY, NOW, Scene
@@ -110,7 +110,10 @@ def test_who_has_not_asked_yet_waits_and_keeps_nobody_else_from_it(tmp_path):
 @pytest.mark.parametrize(
     ("flaw", "words"),
     [
-        (lambda fleet: fleet.ask("/r1", "r2.csr"), "its name is not one of the allowed"),
+        (
+            lambda fleet: fleet.ask("/r1", "r2.csr"),
+            "no request in it is for /r2: there is one for /r1",
+        ),
         (lambda fleet: fleet.ask("/r2", profile="pq"), "it has ml-dsa-65; profile classical"),
         (lambda fleet: (fleet.inbox / "r2.csr").write_text("nonsense"), "no certificate request"),
         (lambda fleet: (fleet.inbox / "r2.csr").symlink_to("nowhere"), "there is no file"),
@@ -159,7 +162,7 @@ def test_a_request_that_is_spoilt_between_plan_and_apply_is_not_answered(tmp_pat
     fleet.ask("/r1", "r2.csr")
     shutil.rmtree(fleet.root / "enclaves/r2")
     left = tuple(step for step in found.steps if step.name == "/r2")
-    with pytest.raises(VerificationError, match="its name is not one of the allowed"):
+    with pytest.raises(VerificationError, match=r"r2\.csr: no request in it is for /r2"):
         fleet.take(Plan(left, (), (), 0, fleet.keystore.head))
     assert fleet.keystore.names() == ["/made", "/r1"]
 
@@ -201,15 +204,49 @@ def test_requests_that_were_answered_may_go(fleet):
     assert keys_in(fleet)["/made"] != before["/made"]
 
 
-def test_a_file_is_for_one_participant(tmp_path):
-    text = FILE.replace("inbox/", "one.csr")
-    fleet = Fleet(tmp_path, text)
-    with pytest.raises(
-        InvalidDocumentError, match=r"line 9: /r1 and /r2 cannot have the same request"
-    ):
-        fleet.plan()
-    fleet.write(text.replace("/r{1..2}", "/r1"))
-    assert read_domain(fleet.file).members["/r1"].request == tmp_path / "one.csr"
+@pytest.fixture
+def one_file(tmp_path):
+    """Both robots' requests are in one file, which the domain file names for both."""
+    fleet = Fleet(tmp_path, FILE.replace("inbox/", "inbox/all.csr"))
+    requests = [fleet.ask(name) for name in ("/r1", "/r2")]
+    fleet.all = fleet.inbox / "all.csr"
+    fleet.all.write_bytes(b"".join(each.pem for each in requests))
+    return fleet
+
+
+def test_a_file_of_several_requests_answers_each_by_its_name(one_file):
+    wanted = {
+        each.common_name: each.public_key.spki
+        for each in CertificateRequest.all_from_pem(one_file.all.read_bytes())
+    }
+    one_file.apply()
+    made = {name: Certificate.from_pem(one_file.certificate(name)).spki for name in wanted}
+    assert made == wanted
+    assert one_file.plan().in_order
+
+
+def test_who_is_not_in_the_file_of_several_is_blocked_alone_until_it_has_a_certificate(one_file):
+    of_both = one_file.all.read_bytes()
+    shutil.copyfile(one_file.inbox / "r2.csr", one_file.all)
+    words = f"its request is refused: {one_file.all}: no request in it is for /r1: there is one for"
+    assert one_file.blocked() == {"/r1": f"{words} /r2"}
+    one_file.all.write_bytes(of_both)
+    one_file.apply()
+    shutil.copyfile(one_file.inbox / "r2.csr", one_file.all)  # as if its was answered and removed
+    assert one_file.plan().in_order
+
+
+def test_two_requests_of_one_robot_in_a_file_are_refused(one_file):
+    one_file.all.write_bytes(one_file.all.read_bytes() + one_file.ask("/r2").pem)
+    assert "2 requests are for /r2" in one_file.blocked()["/r2"]
+    assert list(one_file.blocked()) == ["/r2"]
+    assert one_file.steps()[-2:] == [(StepAction.ISSUE, "/r1"), (StepAction.ISSUE, "/made")]
+
+
+def test_another_key_in_a_file_of_several_blocks_its_robot(one_file):
+    one_file.apply()
+    one_file.all.write_bytes((one_file.inbox / "r1.csr").read_bytes() + one_file.ask("/r2").pem)
+    assert one_file.blocked() == {"/r2": "is not changed: its request is for another key"}
 
 
 def test_a_column_of_a_table_names_requests_too(tmp_path):
