@@ -18,6 +18,7 @@ import pytest
 from coverage import Coverage
 
 from tests.libraries import Libraries, libraries
+from tests.longer import ALL_CASES, gate_part
 
 Found = TypeVar("Found")
 
@@ -42,7 +43,12 @@ measuring takes twice as long as the test."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Workers begin with the files that have most slow tests: none is left with one at the end."""
+    """Leave out what is in `.ci/long`. Workers begin with the files that have most slow tests."""
+    if not ALL_CASES and not any("::" in each for each in config.args):
+        kept = gate_part(items)
+        if left := [item for item in items if item not in kept]:
+            config.hook.pytest_deselected(items=left)
+            items[:] = [item for item in items if item in kept]
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         items.sort(key=lambda item: -slow[item.path])

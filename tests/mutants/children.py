@@ -175,6 +175,7 @@ class Copy:
         root = str(self.root.resolve())
         sys.path[:] = [str(self.folder), *(each for each in sys.path if each not in {"", root})]
         os.environ["PYTHONPATH"] = str(self.folder)
+        os.environ["PQSEC_LONG"] = "cases"  # any of them may kill
         os.environ.pop("PYTEST_ADDOPTS", None)  # it is for the run that we may be a test of
         for name in [each for each in sys.modules if each.split(".")[0] in {"tests", PACKAGE}]:
             del sys.modules[name]

@@ -7,15 +7,14 @@ from pathlib import Path
 
 import pytest
 import yaml
-from jsonschema import Draft202012Validator
 
-from pqsec_pki._assets import asset
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.documents import PRESETS, DomainSet
 from pqsec_pki.domain import _groups, new_domain, read_domain
 from pqsec_pki.domain._listing import MAX_PARTICIPANTS
 from pqsec_pki.domain.desired import EDITION
 from pqsec_pki.errors import FileError, InvalidDocumentError
+from tests.json_schemas import schema_of
 
 HEAD = "roles: {r: {publish: rt/a}}\nparticipants:\n"
 
@@ -376,11 +375,6 @@ def test_no_more_participants_than_anybody_has(problems):
 # The JSON Schema, for editors
 
 
-def schema(kind):
-    return json.loads(asset("schemas", f"{kind}.schema.json").read_text())
-
-
-SCHEMA = Draft202012Validator(schema("domain"))
 GOOD = [
     "{}",
     new_domain("Lab").decode(),
@@ -401,42 +395,45 @@ GOOD = [
 def test_the_json_schema_takes_what_is_read(read, text):
     files = {"g_yaml": "{}", "good_txt": "/t", "good_csv": "name,role\n/u,r\n"}
     read(text, **files)
-    assert not list(SCHEMA.iter_errors(yaml.safe_load(text)))
+    assert not list(schema_of("domain").iter_errors(yaml.safe_load(text)))
 
 
 @pytest.mark.parametrize("text", [text for text, _ in SHAPE_FAULTS])
 def test_the_json_schema_refuses_what_is_refused(text):
-    assert list(SCHEMA.iter_errors(yaml.safe_load(text)))
+    assert list(schema_of("domain").iter_errors(yaml.safe_load(text)))
 
 
 def test_the_example_is_as_the_schema_and_the_reader_want_it():
     example = Path(__file__).parents[2] / "examples/fleet/domain.yaml"
     assert len(read_domain(example).members) == 8
-    assert not list(SCHEMA.iter_errors(yaml.safe_load(example.read_text())))
+    assert not list(schema_of("domain").iter_errors(yaml.safe_load(example.read_text())))
 
 
 def test_the_json_schema_has_the_parts_of_those_of_governance_and_permissions():
-    Draft202012Validator.check_schema(SCHEMA.schema)
-    parts = dict(SCHEMA.schema["$defs"])
+    parts = dict(schema_of("domain").schema["$defs"])
     text = json.dumps(parts.pop("governance")).replace("#/$defs/governance/$defs/", "#/$defs/")
     head = ("$schema", "$id", "title", "description")
-    assert json.loads(text) == {k: v for k, v in schema("governance").items() if k not in head}
+    assert json.loads(text) == {
+        k: v for k, v in schema_of("governance").schema.items() if k not in head
+    }
     for own in ("role", "participants", "duration", "stack"):
         parts.pop(own)
     without_blanks = json.dumps(parts).replace("A-Za-z_$]", "A-Za-z_]")
     without_blanks = without_blanks.replace("A-Za-z0-9_$]", "A-Za-z0-9_]")
-    whole = schema("permissions")["$defs"]
+    whole = schema_of("permissions").schema["$defs"]
     assert json.loads(without_blanks) == {key: whole[key] for key in parts}
     assert whole.keys() - parts.keys() == {"grant", "time", "validity"}
 
 
 def test_the_json_schema_knows_every_profile_and_key(read):
-    assert SCHEMA.schema["properties"]["profile"]["enum"] == [each.name for each in PROFILES]
+    assert schema_of("domain").schema["properties"]["profile"]["enum"] == [
+        each.name for each in PROFILES
+    ]
     told = re.search("allowed: (.*)", _refusal(read, "x: y"))[1]
-    assert set(SCHEMA.schema["properties"]) == set(told.split(", "))
+    assert set(schema_of("domain").schema["properties"]) == set(told.split(", "))
     for part, text in (("role", "roles: {r: {x: y}}"), ("participants", "participants: [{x: y}]")):
         told = re.search("allowed: (.*?)(;|$)", _refusal(read, text))[1]
-        assert set(SCHEMA.schema["$defs"][part]["properties"]) == set(told.split(", "))
+        assert set(schema_of("domain").schema["$defs"][part]["properties"]) == set(told.split(", "))
 
 
 def _refusal(read, text):

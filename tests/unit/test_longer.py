@@ -1,0 +1,93 @@
+"""What the gate leaves to the longer job."""
+
+import ast
+import os
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from tests.longer import TESTS, covering, spread
+
+LEFT_OUT = tomllib.loads((TESTS / "longer.toml").read_text())
+TOY = """
+import pytest
+
+@pytest.mark.parametrize("profile", ["classical", "transition", "pq"])
+@pytest.mark.parametrize(("stack", "version"), [("cyclonedds", 1), ("fastdds", 2)])
+def test_matrix(stack, version, profile):
+    assert profile != "pq"
+
+@pytest.mark.parametrize("number", range(5))
+def test_table(number):
+    pass
+
+def test_one():
+    pass
+"""
+
+
+def test_few_cases_have_each_value():
+    both = [(("who", who), ("what", what)) for who in "abc" for what in range(5)]
+    chosen = covering(both)
+    assert len(chosen) == 5
+    assert {value for number in chosen for value in both[number]} == set(sum(both, ()))
+    assert covering([("a",), ("b",), ("c",)]) == [0, 1, 2]
+    assert covering([()]) == [0]
+
+
+def test_cases_are_spread_evenly():
+    assert spread(range(10), 2) == [0, 5]
+    assert spread(range(3), 5) == [0, 1, 2]
+    assert spread(range(3), 0) == []
+
+
+@pytest.mark.parametrize("file", LEFT_OUT)
+def test_what_is_left_out_is_there(file):
+    tree = ast.parse((TESTS / file).read_text())
+    names = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+    assert set(LEFT_OUT[file]) <= names
+
+
+@pytest.fixture
+def toy(tmp_path):
+    """toy(PQSEC_LONG, options) is what pytest says of a file of tests, with our conftest."""
+    folder = tmp_path / "tests"
+    folder.mkdir()
+    for name in ("conftest.py", "longer.py", "libraries.py"):
+        (folder / name).symlink_to(TESTS / name)
+    (folder / "longer.toml").write_text('["test_toy.py"]\ntest_table = ["1", "4"]\n')
+    (folder / "test_toy.py").write_text(TOY)
+
+    def run(long, *options):
+        environment = {name: os.environ[name] for name in os.environ if name[:6] != "PYTEST"}
+        done = subprocess.run(
+            [
+                *(sys.executable, "-m", "pytest", "-c", TESTS.parent / "pyproject.toml"),
+                *("--rootdir", tmp_path, "-p", "no:cacheprovider", "-q", *options),
+            ],
+            cwd=tmp_path,
+            env=environment | {"PQSEC_LONG": long},
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        return done.stdout + done.stderr
+
+    return run
+
+
+@pytest.mark.slow
+def test_the_gate_runs_a_part_and_the_longer_job_all(toy):
+    gate = toy("", "tests")
+    assert "1 failed, 6 passed, 5 deselected" in gate
+    for long in ("1", "cases"):
+        assert "2 failed, 10 passed" in toy(long, "tests")
+    assert "1 failed" in toy("", "tests/test_toy.py::test_matrix[cyclonedds-1-pq]")
+
+
+@pytest.mark.slow
+def test_a_case_that_there_is_not_cannot_be_left_out(toy, tmp_path):
+    (tmp_path / "tests" / "longer.toml").write_text('["test_toy.py"]\ntest_table = ["7"]\n')
+    assert "test_table has no case ['7']" in toy("", "tests")
