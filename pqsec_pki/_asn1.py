@@ -315,6 +315,8 @@ class ECPrivateKey:
 
 @sequence
 class KeyReference:
+    """A reference to a private key in a token, as OpenSSL's pkcs11-provider reads it."""
+
     description: TLV
     uri: str
 

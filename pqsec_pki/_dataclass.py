@@ -22,7 +22,7 @@ _MISSING = dataclasses.MISSING
 def _dataclass(
     *, frozen: bool = False, eq: bool = True, **others: bool
 ) -> Callable[[_Kind], _Kind]:
-    """As `dataclasses.dataclass` with these options, for a class without such methods."""
+    """As `dataclasses.dataclass` with these options, for a class without methods of these names."""
 
     def decorated(plain: _Kind) -> _Kind:
         plain.__doc__ = plain.__doc__ or plain.__name__  # without one, inspect makes a signature
@@ -60,7 +60,7 @@ def _first_init(kind: _Kind, *, frozen: bool) -> Callable[..., None]:
 
 
 def _init(kind: _Kind, *, frozen: bool) -> Callable[..., None]:
-    """Its names that begin with two underscores are no fields."""
+    """The `__init__` that dataclasses would compile; names with two underscores are its own."""
     found = dataclasses.fields(kind)
     names: dict[str, Any] = {"__put": object.__setattr__, "__missing": _MISSING}
     names |= {f"__{each.name}": each.default_factory for each in found}
@@ -97,6 +97,7 @@ def _value(field: "dataclasses.Field[Any]") -> str:
 
 
 def _comparing(kind: _Kind, *, frozen: bool) -> _Methods:
+    """`__eq__` and `__hash__`, by the fields that are compared."""
     compared = [each.name for each in dataclasses.fields(kind) if each.compare]
     values = attrgetter(*compared) if compared else lambda _: ()
 
@@ -124,6 +125,7 @@ def _refuse(_: object, name: str, *__: object) -> None:
 
 
 def _state(self: Any) -> list[object]:
+    """What pickle and copy pass to `_restore`, because attributes cannot be set."""
     return [getattr(self, each.name) for each in dataclasses.fields(self)]
 
 

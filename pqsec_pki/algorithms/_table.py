@@ -52,8 +52,7 @@ RowT = TypeVar("RowT", bound=AlgorithmRow)
 class AlgorithmTable(Generic[RowT]):
     """Rows in the given order; each name and alias belongs to one row.
 
-    Experimental rows, and those of other packages, are found by name; whoever goes through the
-    table does not meet them.
+    Experimental rows, and those of other packages, are found by name; iteration leaves them out.
     """
 
     def __init__(

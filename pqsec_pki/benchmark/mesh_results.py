@@ -1,4 +1,4 @@
-"""What a mesh of hosts took, as values that can be kept."""
+"""The results of meshes: times, counts and losses, as JSON and as rows of CSV."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict

@@ -5,7 +5,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import field
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import click
 
@@ -127,9 +127,7 @@ def _with_progress(items: Iterable[Item], count: int, label: str) -> Iterator[It
 
 
 def _json(account: _Totals) -> Iterator[str]:
-    found = account.check_pairs
-    participants = [_participant_json(found, name) for name in found.names]
-    listed = json.dumps(participants, indent=2)
+    listed = json.dumps(account.check_pairs.participants_json(), indent=2)
     yield f'{{"version": {_printing.JSON_VERSION}, "participants": {listed},'
     yield '"pairs": ['
     comma = ""
@@ -140,15 +138,6 @@ def _json(account: _Totals) -> Iterator[str]:
     yield "],"
     yield f'"ok": {json.dumps(account.summary.ok)},'
     yield f'"totals": {json.dumps(account.totals, indent=2)}}}'
-
-
-def _participant_json(found: PairsCheck, name: str) -> dict[str, Any]:
-    own = [each for party, each in found.findings.items() if party.name == name]
-    return {
-        "name": name,
-        "domains": sorted(own[0].domains),
-        "faults": [{"as": each.party.stack} | each.failed.fault for each in own if each.failed],
-    }
 
 
 # As text.

@@ -32,34 +32,11 @@ def write_metrics(
 
 def _lines(keystore: Keystore, standing: Status, robots: Mapping[str, RobotState]) -> Iterator[str]:
     root = str(keystore.root.resolve())
-    yield from _metric(
-        "not_after_seconds",
-        "When it ends, as Unix time.",
-        [
-            ({"keystore": root, "kind": kind, "name": name}, int(end.timestamp()))
-            for kind, name, end in (
-                *((each.kind, each.name, each.not_after) for each in standing.shared),
-                *(("participant", each.name, each.not_after) for each in standing.participants),
-            )
-        ],
-    )
+    yield from _metric("not_after_seconds", "When it ends, as Unix time.", _ends(root, standing))
     yield from _metric(
         "participant_info",
         "State, profile and domains of a participant, and what its robot runs; always 1.",
-        [
-            (
-                {
-                    "keystore": root,
-                    "name": each.name,
-                    "state": each.state,
-                    "profile": each.profile or "",
-                    "domains": each.domains or "",
-                    "robot": robots[each.name].state,
-                },
-                1,
-            )
-            for each in standing.participants
-        ],
+        _participants(root, standing, robots),
     )
     yield from _metric(
         "participants",
@@ -70,6 +47,29 @@ def _lines(keystore: Keystore, standing: Status, robots: Mapping[str, RobotState
     yield from _metric(
         "status_seconds", "When these metrics were made, as Unix time.", [({"keystore": root}, now)]
     )
+
+
+def _ends(root: str, standing: Status) -> Iterator[Sample]:
+    for kind, name, end in (
+        *((each.kind, each.name, each.not_after) for each in standing.shared),
+        *(("participant", each.name, each.not_after) for each in standing.participants),
+    ):
+        yield {"keystore": root, "kind": kind, "name": name}, int(end.timestamp())
+
+
+def _participants(
+    root: str, standing: Status, robots: Mapping[str, RobotState]
+) -> Iterator[Sample]:
+    for each in standing.participants:
+        labels = {
+            "keystore": root,
+            "name": each.name,
+            "state": each.state,
+            "profile": each.profile or "",
+            "domains": each.domains or "",
+            "robot": robots[each.name].state,
+        }
+        yield labels, 1
 
 
 def _counts(root: str, keystore: Keystore, standing: Status) -> Iterator[Sample]:

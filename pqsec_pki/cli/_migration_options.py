@@ -9,13 +9,13 @@ import click
 from pqsec_pki import domain
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.cli import _completion
+from pqsec_pki.cli._settings import Command
 from pqsec_pki.selfcheck import STACKS, SimulatedStack, stack_named
 
 _STOCK = [each.name for each in STACKS if each.is_stock]
-_Command = Callable[..., Any]
 
 
-def target(flag: str, **settings: Any) -> Callable[[_Command], _Command]:
+def target(flag: str, **settings: Any) -> Callable[[Command], Command]:
     """The option `flag` for the profile to change to, as `target`."""
     names = [each.name for each in PROFILES]
     return click.option(flag, "target", type=click.Choice(names), **settings)

@@ -1,15 +1,14 @@
 """--wire-version: the version of the handshake's messages, for the commands that run handshakes."""
 
 from collections.abc import Callable
-from typing import TypeVar
 
 import click
 
 from pqsec_pki.algorithms import KeyAgreement
+from pqsec_pki.cli._settings import Command
 from pqsec_pki.errors import UsageError
 from pqsec_pki.handshake import WireVersion
 
-Command = TypeVar("Command", bound=Callable[..., object])
 NAME = "--wire-version"
 
 

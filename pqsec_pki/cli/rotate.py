@@ -176,8 +176,8 @@ def _apply(
     no_passphrase: bool,
     confirmed: bool,
 ) -> None:
-    terms, kept, passphrase = plan.terms, None, None
-    uris = _key_uris.given()
+    terms, uris = plan.terms, _key_uris.given()
+    kept, passphrase = None, None
     refuse_keys_in_files(keystore, terms, uris)
     if terms.needs_old_cas:
         passphrase = _passphrases.of_cas(keystore, passphrase_file)
@@ -187,25 +187,30 @@ def _apply(
         if not terms.overlap and len(keys) < len(key_algorithms(terms.profile)):
             passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
         with keystore.hold():
-            if keystore.head != plan.head:  # another command changed it
-                if confirmed:
-                    raise KeystoreError(
-                        "another command changed the keystore since the plan was shown",
-                        hint="run it again, and confirm the new plan",
-                    )
-                plan = plan_rollover(keystore, terms, now=_settings.now())
             done = apply_rollover(
                 keystore,
-                plan,
+                _current(keystore, plan, confirmed=confirmed),
                 kept=kept,
                 passphrase=passphrase,
                 pin=_passphrases.pin,
                 keys=keys,
                 now=_settings.now(),
             )
-    for name, reason in plan.left_out.items():
+    for name, reason in done.plan.left_out.items():
         _printing.note(f"{name} is not reissued: {reason}")
     if terms.overlap:
         _overlap.print_done(terms.overlap, done)
     else:
         _rollover.print_done(done)
+
+
+def _current(keystore: Keystore, plan: RolloverPlan, *, confirmed: bool) -> RolloverPlan:
+    """The plan; made again if another command changed the keystore, or refused if confirmed."""
+    if keystore.head == plan.head:
+        return plan
+    if confirmed:
+        raise KeystoreError(
+            "another command changed the keystore since the plan was shown",
+            hint="run it again, and confirm the new plan",
+        )
+    return plan_rollover(keystore, plan.terms, now=_settings.now())

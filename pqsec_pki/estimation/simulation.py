@@ -44,7 +44,7 @@ Event = tuple[float, int, Callable[..., None], tuple[int, ...]]
 
 @dataclass(frozen=True, slots=True)
 class Simulated:
-    """What came of all runs."""
+    """The times of all runs."""
 
     runs: int
     participants: int

@@ -57,8 +57,8 @@ def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal
     """Take a copy of the keystore through the profiles to `target`.
 
     The copy is in a folder that only its owner can read, and is removed, also if the process is
-    killed. KeystoreError if fewer
-    than two participants have their keys here; other errors of a rollover.
+    killed. KeystoreError if fewer than two participants have their keys here; other errors of a
+    rollover.
     """
     enclaves = keystore.root / ENCLAVES
     names = [each for each in keystore.names() if exists(enclaves / each[1:] / KEY)]

@@ -93,6 +93,20 @@ class PairsCheck:
         """The participants, sorted."""
         return sorted({party.name for party in self.findings})
 
+    def participants_json(self) -> list[dict[str, object]]:
+        """For --json: each participant, the domains that it may join, and its faults."""
+        return [self._participant_json(name) for name in self.names]
+
+    def _participant_json(self, name: str) -> dict[str, object]:
+        own = [each for party, each in self.findings.items() if party.name == name]
+        return {
+            "name": name,
+            "domains": sorted(own[0].domains),
+            "faults": [
+                {"as": each.party.stack, **each.failed.fault} for each in own if each.failed
+            ],
+        }
+
     def outcomes(self) -> Iterator[PairOutcome]:
         """The outcome of each pair; its first participant behaves like the first stack of the job.
 

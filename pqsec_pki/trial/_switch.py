@@ -42,7 +42,7 @@ class _Delayed(NamedTuple):
 
 @dataclass(slots=True)
 class Counts:
-    """What passed."""
+    """Counts of frames and messages."""
 
     frames: int = 0
     """IP packets that hosts sent; one to a group is one."""

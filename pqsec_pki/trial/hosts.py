@@ -63,7 +63,7 @@ class HostOutcome:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostsRun:
-    """What came of it."""
+    """The result of a run."""
 
     hosts: tuple[HostOutcome, ...]
     counts: Mapping[str, int | float]
