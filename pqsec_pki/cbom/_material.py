@@ -74,7 +74,7 @@ def add_certificate(assets: Assets, certificate: Certificate, place: str, issuer
             details.append(("alternativeSignatureAlgorithm", needs[-1]))
     properties = CertificateProperties(
         subject_name=certificate.subject_name,
-        issuer_name=name_text(certificate.issuer),
+        issuer_name=certificate.issuer_name,
         not_valid_before=certificate.not_before,
         not_valid_after=certificate.not_after,
         signature_algorithm_ref=bom_ref(signature),
@@ -131,21 +131,12 @@ def add_private_key(
     algorithm, words = _key_algorithm(assets, spki) if spki is not None else (None, "encrypted")
     digest = hashlib.sha256(spki if spki is not None else place.encode()).hexdigest()
     by_known = f"{words} private key {digest[:_SHORT]}"
-    secured, needs = None, tuple(each for each in (public, algorithm) if each)
-    if encryption is not None:
-        mechanism = _encryption(assets, encryption)
-        secured = RelatedCryptoMaterialSecuredBy(
-            mechanism="passphrase", algorithm_ref=BomRef(mechanism)
-        )
-        needs += (mechanism,)
-    if elsewhere:
-        secured = RelatedCryptoMaterialSecuredBy(mechanism="HSM")
-    kind = ":elsewhere" if elsewhere else ":encrypted" if secured else ""
+    mechanism = _encryption(assets, encryption) if encryption is not None else None
+    secured, end = _protection(mechanism, elsewhere=elsewhere)
     where = "" if spki is not None else "@"
     return _material(
         assets,
-        # One key, stored encrypted here and open there, is two assets.
-        f"private-key:{where}{digest}{kind}",
+        f"private-key:{where}{digest}{end}",
         by_known if spki is not None else f"private key in {place}",
         RelatedCryptoMaterialProperties(
             type=Kind.PRIVATE_KEY,
@@ -154,9 +145,26 @@ def add_private_key(
             format=None if elsewhere else "PEM",
             secured_by=secured,
         ),
-        needs,
+        tuple(each for each in (public, algorithm, mechanism) if each),
         (place,),
     )
+
+
+def _protection(
+    mechanism: str | None, *, elsewhere: bool
+) -> tuple[RelatedCryptoMaterialSecuredBy | None, str]:
+    """What secures a private key, and the end of its ref.
+
+    One key, stored encrypted here and open there, is two assets.
+    """
+    if elsewhere:
+        return RelatedCryptoMaterialSecuredBy(mechanism="HSM"), ":elsewhere"
+    if mechanism is None:
+        return None, ""
+    secured = RelatedCryptoMaterialSecuredBy(
+        mechanism="passphrase", algorithm_ref=BomRef(mechanism)
+    )
+    return secured, ":encrypted"
 
 
 def add_request(assets: Assets, request: CertificateRequest, place: str) -> None:

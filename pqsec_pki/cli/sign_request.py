@@ -10,7 +10,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
-from pqsec_pki.documents import DomainSet, Permissions
+from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import (
     MAX_ARCHIVE,
     NAMELESS,
@@ -21,7 +21,6 @@ from pqsec_pki.enrolment import (
     sign,
 )
 from pqsec_pki.errors import UsageError, VerificationError, located
-from pqsec_pki.lifecycle import ParticipantSpec
 
 _force = click.option("--force", is_flag=True, help="Replace existing files or participants.")
 
@@ -231,21 +230,6 @@ def _read(path: Path) -> SignRequest:
 
 
 def _show(asked: SignRequest) -> None:
-    value = {
-        "sha256": asked.sha256,
-        "participants": [
-            {
-                "name": spec.name,
-                "domains": str(spec.domains),
-                "publish": spec.publish,
-                "subscribe": spec.subscribe,
-                "policy": bool(spec.grants),
-                "permissions": "\n".join(_policy(spec)) or None,
-                "hours": spec.validity // timedelta(hours=1),
-            }
-            for spec in asked.specs
-        ],
-    }
     rows = [
         (
             spec.name,
@@ -258,8 +242,10 @@ def _show(asked: SignRequest) -> None:
         for spec in asked.specs
     ]
     headers = ("participant", "domains", "publish", "subscribe", "by", "for")
-    policies = [line for spec in asked.specs for line in _policy(spec)]
-    _printing.emit(value, [*_printing.table(headers, rows), *policies, f"SHA-256 {asked.sha256}"])
+    documents = [spec.policy.decode() for spec in asked.specs if spec.policy]
+    policies = [line for each in documents for line in each.splitlines()]
+    lines = [*_printing.table(headers, rows), *policies, f"SHA-256 {asked.sha256}"]
+    _printing.emit(asked.to_json(), lines)
 
 
 def _length(validity: timedelta) -> str:
@@ -270,11 +256,3 @@ def _length(validity: timedelta) -> str:
 def _topics(expressions: tuple[str, ...]) -> str:
     """The topics in full: the operator decides by them."""
     return " ".join(expressions) or "-"
-
-
-def _policy(spec: ParticipantSpec) -> list[str]:
-    """The lines of the permissions document, for requests with a policy."""
-    if not spec.grants:
-        return []
-    document = Permissions(grants=spec.grants).to_xml().decode()
-    return document.splitlines()

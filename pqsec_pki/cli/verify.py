@@ -62,25 +62,12 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
     trusted. A post-quantum countersignature is checked if there is one. It can be removed
     without a trace: with --ca, use --require both (or pq) if you expect one.
     """
-    if ca is None:
-        keystore = _settings.open_keystore()
-        ca, anchors = keystore.permissions_ca_path, keystore.anchors
-        if alt_ca:
-            anchors = replace(anchors, countersigner=_certificate(alt_ca))
-        demanded = Require(require) if require else None
-    else:
-        # --alt-ca means that a countersignature is expected.
-        demanded = Require(require) if require else None if alt_ca else Require.ANY
-        alt_ca = alt_ca or _beside(ca)
-        anchors = TrustAnchors(
-            identity_cas=(),
-            permissions_ca=_certificate(ca),
-            countersigner=_certificate(alt_ca) if alt_ca else None,
-        )
-        _note_version_1(anchors.permissions_ca, ca)
+    # Without a keystore, --alt-ca means that a countersignature is expected.
+    demanded = Require(require) if require else Require.ANY if ca and not alt_ca else None
+    anchors, paths = _of_files(ca, alt_ca) if ca else _of_keystore(alt_ca)
     message = read(file)
     try:
-        _refuse_signers(anchors, {PERMISSIONS_CA: ca, PERMISSIONS_ALT_CA: alt_ca or _second(ca)})
+        _refuse_signers(anchors, paths)
         with located(file):
             verified = anchors.signed(message, demanded)
         report = refuse_changed(verified.document, file)
@@ -93,6 +80,31 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             error.hint = f"the signature is in another file: `pqsec verify {beside}`"
         raise
     _print_signatures(report or file, verified, anchors, is_report=report is not None)
+
+
+def _of_keystore(alt_ca: Path | None) -> tuple[TrustAnchors, dict[str, Path]]:
+    """The keystore's CAs, and the files of those that sign documents."""
+    keystore = _settings.open_keystore()
+    anchors = keystore.anchors
+    if alt_ca:
+        anchors = replace(anchors, countersigner=_certificate(alt_ca))
+    return anchors, _paths(keystore.permissions_ca_path, alt_ca)
+
+
+def _of_files(ca: Path, alt_ca: Path | None) -> tuple[TrustAnchors, dict[str, Path]]:
+    """The CAs in these files, and the files."""
+    alt_ca = alt_ca or _beside(ca)
+    anchors = TrustAnchors(
+        identity_cas=(),
+        permissions_ca=_certificate(ca),
+        countersigner=_certificate(alt_ca) if alt_ca else None,
+    )
+    _note_version_1(anchors.permissions_ca, ca)
+    return anchors, _paths(ca, alt_ca)
+
+
+def _paths(ca: Path, alt_ca: Path | None) -> dict[str, Path]:
+    return {PERMISSIONS_CA: ca, PERMISSIONS_ALT_CA: alt_ca or _second(ca)}
 
 
 def _beside(ca: Path) -> Path | None:

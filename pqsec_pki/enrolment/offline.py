@@ -8,7 +8,7 @@ request is authentic if the person who signs compares its SHA-256.
 import hashlib
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self
 
@@ -17,7 +17,6 @@ from pqsec_pki._files import is_there, read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, only_certificate
-from pqsec_pki.documents import Permissions
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
 from pqsec_pki.enrolment.csr_validation import validate_csrs
@@ -72,13 +71,17 @@ class SignRequest:
         files: dict[str, bytes] = {}
         for request, spec in zip(self.requests, self.specs, strict=True):
             files[_request_file(spec.name)] = request.pem
-            if spec.grants:
-                files[policy_file(spec.name)] = Permissions(grants=spec.grants).to_xml()
+            if policy := spec.policy:
+                files[policy_file(spec.name)] = policy
         about = {
             "created": now.isoformat(timespec="seconds"),
             "wishes": [spec_value(spec) for spec in self.specs],
         }
         return Archive(REQUEST_KIND, about, files).pack()
+
+    def to_json(self) -> dict[str, object]:
+        """What is asked for each participant, for --json."""
+        return {"sha256": self.sha256, "participants": list(map(_spec_json, self.specs))}
 
     def admitted(
         self, profile: Profile, patterns: Collection[str] = ()
@@ -95,6 +98,18 @@ class SignRequest:
         return tuple(
             replace(spec, keys=keys[spec.name]._replace(request=self.sha256)) for spec in self.specs
         )
+
+
+def _spec_json(spec: ParticipantSpec) -> dict[str, object]:
+    return {
+        "name": spec.name,
+        "domains": str(spec.domains),
+        "publish": spec.publish,
+        "subscribe": spec.subscribe,
+        "policy": bool(spec.grants),
+        "permissions": spec.policy and spec.policy.decode().rstrip("\n"),
+        "hours": spec.validity // timedelta(hours=1),
+    }
 
 
 def sign(  # noqa: PLR0913 -- the choices are the user's, and by name

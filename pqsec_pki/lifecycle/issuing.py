@@ -49,6 +49,11 @@ class ParticipantSpec:
         """Whether it names a topic; without one, the permissions deny everything."""
         return bool(self.publish or self.subscribe or self.grants)
 
+    @property
+    def policy(self) -> bytes | None:
+        """The permissions document with the grants of a policy; None without one."""
+        return Permissions(grants=self.grants).to_xml() if self.grants else None
+
 
 def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     keystore: Keystore,
