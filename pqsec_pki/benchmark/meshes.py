@@ -29,15 +29,16 @@ from pqsec_pki.vendors import Options, export, write
 
 TOPIC, _DOMAIN = "rt/chatter", 0
 _VALIDITY = timedelta(days=1)
-_UDP = """<transport_descriptors><transport_descriptor>
+_UNSECURED = """<dds><profiles>
+<transport_descriptors><transport_descriptor>
 <transport_id>udp</transport_id><type>UDPv4</type>
-</transport_descriptor></transport_descriptors>"""
-_ONLY_UDP = """<userTransports><transport_id>udp</transport_id></userTransports>
-<useBuiltinTransports>false</useBuiltinTransports>"""
-_UNSECURED = f"""<dds><profiles>{_UDP}
-<participant profile_name="host" is_default_profile="true"><rtps>{_ONLY_UDP}</rtps></participant>
-</profiles></dds>
+</transport_descriptor></transport_descriptors>
+<participant profile_name="host" is_default_profile="true"><rtps>
+<userTransports><transport_id>udp</transport_id></userTransports>
+<useBuiltinTransports>false</useBuiltinTransports>
+</rtps></participant></profiles></dds>
 """
+"""A configuration of Fast DDS with UDP only, as between machines."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,19 +187,15 @@ def _keystore(root: Path, profile: str, hosts: int, now: datetime) -> Keystore:
 def _secured(
     plan: MeshPlan, store: Keystore, name: str, place: Path, ours: TrialPlugin | None
 ) -> dict[str, str]:
-    """What `pqsec export` writes; of Fast DDS's transports only UDP, as between machines."""
+    """The variables of a host with what `pqsec export` writes."""
     installation = plan.installation
     options = Options(
         version=installation.version,
         plugins=installation.plugins,
         plugin=ours.folder if ours else None,
+        udp_only=True,
     )
     made = export(installation.build.stack, store, name, options, now=plan.now)
-    if installation.build.stack is Stack.FASTDDS:
-        text = str(made.files[made.main])
-        text = text.replace("<participant ", f"{_UDP}<participant ", 1)
-        text = text.replace("<rtps>", f"<rtps>{_ONLY_UDP}", 1)
-        made = replace(made, files={**made.files, made.main: text})
     write(made, place)
     return {**made.variables(place), **(ours.environment if ours else {})}
 

@@ -2,6 +2,7 @@
 
 from datetime import datetime
 from itertools import combinations, pairwise
+from typing import NamedTuple
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
@@ -13,7 +14,7 @@ from pqsec_pki.migration._throwaway import throwaway_folder
 from pqsec_pki.migration.generations import Generation, generations
 from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.planning import path_of
-from pqsec_pki.selfcheck import PQSEC, HandshakeSetup, JoinableDomains
+from pqsec_pki.selfcheck import PQSEC, CheckedStep, HandshakeSetup, JoinableDomains
 
 SAMPLE = 6
 """Participants whose handshakes are run, if there are more: 15 pairs in each generation."""
@@ -76,29 +77,37 @@ def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal
     return Rehearsal(participants=len(names), sample=chosen, steps=tuple(steps))
 
 
+class _Pair(NamedTuple):
+    """Two participants, and a domain that both may join."""
+
+    one: str
+    other: str
+    domain: int
+
+    def failure(self, first: Keystore, second: Keystore, now: datetime) -> CheckedStep | None:
+        """The step at which their handshake fails, with the files of these keystores."""
+        one, other = Side(first, self.one, PQSEC), Side(second, self.other, PQSEC)
+        return failure(one, other, self.domain, now)
+
+
 def _rehearsed(
     old: Generation, new: Generation, names: tuple[str, ...], now: datetime
 ) -> RehearsedStep:
     plan = new.rollover
     reissued = (*plan.keeping, *plan.rekeyed) if plan else ()
+    chosen = [each for each in names if each in reissued]
     pairs = [
-        (one, other, domain)
-        for one, other in combinations([each for each in names if each in reissued], 2)
+        _Pair(one, other, domain)
+        for one, other in combinations(chosen, 2)
         if (domain := _domain(new.keystore, one, other, now)) is not None
     ]
     same = {
-        f"{one}, {other}": failure(
-            Side(new.keystore, one, PQSEC), Side(new.keystore, other, PQSEC), domain, now
-        )
-        for one, other, domain in pairs
+        f"{each.one}, {each.other}": each.failure(new.keystore, new.keystore, now) for each in pairs
     }
     mixed = [
-        failure(Side(first, one, PQSEC), Side(second, other, PQSEC), domain, now)
-        for one, other, domain in pairs
-        for first, second in (
-            (old.keystore, new.keystore),
-            (new.keystore, old.keystore),
-        )
+        each.failure(first, second, now)
+        for each in pairs
+        for first, second in ((old.keystore, new.keystore), (new.keystore, old.keystore))
     ]
     refused = [each for each in mixed if each]
     return RehearsedStep(

@@ -40,12 +40,7 @@ _MIXED = (
 
 def export(enclave: StackEnclave, options: Options) -> Export:
     """CYCLONEDDS_URI and the file that it names."""
-    if changed := set(str(enclave.at)) & CHANGED:
-        raise UsageError(
-            f"{shown(str(enclave.at))}: Cyclone DDS opens no documents in a folder with"
-            f" {min(changed)!r} in it",
-            hint="put the keystore elsewhere",
-        )
+    _refuse_folder(enclave)
     notes = password_note(enclave, options)
     located = _located(options)
     release, problem = _looked_at(located, options)
@@ -79,6 +74,15 @@ def export(enclave: StackEnclave, options: Options) -> Export:
         is_private=options.password is not None,
         unfit_folder=",",  # CYCLONEDDS_URI is a list
     )
+
+
+def _refuse_folder(enclave: StackEnclave) -> None:
+    if changed := set(str(enclave.at)) & CHANGED:
+        raise UsageError(
+            f"{shown(str(enclave.at))}: Cyclone DDS opens no documents in a folder with"
+            f" {min(changed)!r} in it",
+            hint="put the keystore elsewhere",
+        )
 
 
 def _path(path: Path | None, name: str) -> str:

@@ -42,6 +42,8 @@ class Options:
     """Of the stack, such as 3.1.2 or 3.1; None if not given."""
     loopback: bool = False
     """For tests on one machine: only 127.0.0.1, no multicast."""
+    udp_only: bool = False
+    """For tests on one machine: Fast DDS uses no shared memory, as between machines."""
     password: str | None = field(default=None, repr=False)
     """The passphrase of the participant's encrypted key, to be written unchanged into the file."""
     at: PurePosixPath | None = None

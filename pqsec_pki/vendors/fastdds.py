@@ -77,6 +77,7 @@ def export(enclave: StackEnclave, options: Options) -> Export:
                 namespace=NAMESPACES[generations[0]],
                 properties=properties,
                 loopback=options.loopback,
+                transport="loopback" if options.loopback else "udp" if options.udp_only else None,
             )
         },
         environment=environment,

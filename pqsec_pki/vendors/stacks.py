@@ -132,8 +132,8 @@ def export(
 
     VerificationError if the credentials cannot be trusted (room `credentials`), or the stack is
     known to refuse them (`pqsec check` finds an error), or our plugin does, unless
-    `options.anyway`; UsageError if an option is not for that
-    stack; KeystoreError if there is no such participant, FileError if our plugin is not there.
+    `options.anyway`; UsageError if an option is not for that stack; KeystoreError if there is no
+    such participant, FileError if our plugin is not there.
     """
     exporter = exporter_of(stack)
     exporter.refuse_unknown(options)
@@ -148,14 +148,7 @@ def export(
     for finding in report.findings:
         found.setdefault(exporter.severity(finding, options), []).append(finding)
     errors, warnings = found.get(Severity.ERROR, []), found.get(Severity.WARNING, [])
-    told = {each.code for each in errors}
-    problems = [_problem(each) for each in errors]
-    problems += [each for each in enclave.refusals(now) if each.code not in told]
-    refusal: VerificationError | None = None
-    if problems:
-        refusal = VerificationError(*problems, hint=_way_out(exporter, errors))
-    else:
-        refusal = own_plugin.refusal(enclave, options, now)
+    refusal = _refusal(exporter, enclave, errors, options, now)
     if refusal and not options.anyway:
         raise refusal
     refused = map(str, refusal.problems) if refusal else ()
@@ -167,6 +160,22 @@ def export(
         notes=(*made.notes, *datagrams),
         warnings=(*made.warnings, *refused, *map(_message_of, warnings)),
     )
+
+
+def _refusal(
+    exporter: Exporter,
+    enclave: StackEnclave,
+    errors: list[Finding],
+    options: Options,
+    now: datetime,
+) -> VerificationError | None:
+    """Why the stack or our plugin would refuse the credentials."""
+    told = {each.code for each in errors}
+    problems = [_problem(each) for each in errors]
+    problems += [each for each in enclave.refusals(now) if each.code not in told]
+    if problems:
+        return VerificationError(*problems, hint=_way_out(exporter, errors))
+    return own_plugin.refusal(enclave, options, now)
 
 
 def _way_out(exporter: Exporter, errors: list[Finding]) -> str:
