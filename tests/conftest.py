@@ -18,7 +18,7 @@ import pytest
 from coverage import Coverage
 
 from tests.libraries import Libraries, libraries
-from tests.longer import ALL_CASES, gate_part
+from tests.longer import ALL_CASES, LONG, gate_part
 
 Found = TypeVar("Found")
 
@@ -26,7 +26,7 @@ Found = TypeVar("Found")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No test asserts wall-clock time: by default hypothesis fails an example that takes 200 ms.
-hypothesis.settings.register_profile("pqsec", deadline=None)
+hypothesis.settings.register_profile("pqsec", deadline=None, max_examples=100 if LONG else 25)
 hypothesis.settings.load_profile("pqsec")
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"

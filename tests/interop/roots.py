@@ -1,13 +1,15 @@
 """The root file systems with the stacks: this machine's and, for newer ones, Debian trixie's."""
 
+import hashlib
 import os
-from collections.abc import Iterator, Mapping
+import shutil
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pqsec_pki.trial import MACHINE, Installation
-from pqsec_pki.trial.building import run_tool, source
+from pqsec_pki.trial.building import cache, run_tool, source
 
 TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
 ROOTS = {"bookworm": MACHINE, "trixie": TRIXIE}
@@ -17,15 +19,32 @@ ROOTS = {"bookworm": MACHINE, "trixie": TRIXIE}
 def compiled(
     installation: Installation, sources: Mapping[str, bytes], *options: str
 ) -> Iterator[list[str]]:
-    """The command of a peer with some other sources, compiled with more options."""
+    """The command of a peer with some other sources, compiled with more options.
+
+    The program is kept beside those of `pqsec try`: Fast DDS's headers take half a minute.
+    """
+    own = {each: source(each) for each in installation.build.sources} | dict(sources)
+    inputs = (installation.root, installation.library.build, installation.build.commands)
+    digest = hashlib.sha256(repr((inputs, options, sorted(own.items()))).encode()).hexdigest()
+    kept = cache() / f"test-{installation.build.stack}-{digest[:16]}"
     parent = None if installation.root == MACHINE else installation.root / "tmp"
     with TemporaryDirectory(dir=parent) as name:
         folder = Path(name)
-        own = {each: source(each) for each in installation.build.sources}
-        for each, content in (own | dict(sources)).items():
-            (folder / each).write_bytes(content)
-        place = f"/{folder.relative_to(installation.root)}"
-        for command in installation.build.commands:
-            code, said = run_tool(command[0], installation.tool((*command, *options), place))
-            assert code == 0, said
+        if not kept.exists():
+            _compile(installation, folder, own, options)
+            draft = kept.with_name(f"{kept.name}.{os.getpid()}")
+            shutil.copy(folder / "peer", draft)
+            draft.replace(kept)
+        shutil.copy(kept, folder / "peer")
         yield installation.peer(folder / "peer")
+
+
+def _compile(
+    installation: Installation, folder: Path, sources: Mapping[str, bytes], options: Iterable[str]
+) -> None:
+    for each, content in sources.items():
+        (folder / each).write_bytes(content)
+    place = f"/{folder.relative_to(installation.root)}"
+    for command in installation.build.commands:
+        code, said = run_tool(command[0], installation.tool((*command, *options), place))
+        assert code == 0, said

@@ -13,6 +13,7 @@ from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import State, audit, status
 from pqsec_pki.lifecycle import ParticipantSpec, Renewal, issue, renew, renew_list, revoke
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
+from tests.longer import LONG
 from tests.unit.keystores import DAY, NOW, made
 
 NAMES = ("/a", "/b", "/fleet/c")
@@ -125,7 +126,7 @@ class Life(RuleBasedStateMachine):
 
 TestLife = Life.TestCase
 TestLife.settings = settings(
-    max_examples=15,
+    max_examples=50 if LONG else 5,
     stateful_step_count=20,
     suppress_health_check=[HealthCheck.too_slow],
 )
