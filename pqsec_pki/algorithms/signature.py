@@ -70,10 +70,10 @@ def _ecdsa(curve: ec.EllipticCurve, oid: str, digest: Digest, group: str, runs_i
 
 
 def _rsa(bits: int, kind: type[Rsa] = Rsa, digest: Digest = SHA256) -> Rsa:
-    half = "-pss" if kind is RsaPss else "" if digest is SHA256 else f"-{digest.name}"
+    suffix = "-pss" if kind is RsaPss else "" if digest is SHA256 else f"-{digest.name}"
     return kind(
-        name=f"rsa-{bits}{half}",
-        aliases=(f"rsa{bits}{half}",),
+        name=f"rsa-{bits}{suffix}",
+        aliases=(f"rsa{bits}{suffix}",),
         family=Family.CLASSICAL,
         level=0,
         registered=Registered(
@@ -173,8 +173,10 @@ def _composite(
     )
 
 
-def _eddsa(name: str, oid: str, level: int, sizes: tuple[int, int], *kinds: type[Any]) -> EdDsa:
-    public, private = kinds
+def _eddsa(
+    name: str, oid: str, level: int, sizes: tuple[int, int], classes: tuple[type[Any], type[Any]]
+) -> EdDsa:
+    """EdDSA; sizes of public key and signature, and the classes of public and private key."""
     return EdDsa(
         name=name.lower(),
         family=Family.CLASSICAL,
@@ -192,8 +194,8 @@ def _eddsa(name: str, oid: str, level: int, sizes: tuple[int, int], *kinds: type
         cms_digests=frozenset({SHA512}),
         public_key_size=sizes[0],
         signature_size=sizes[1],
-        public=public,
-        private=private,
+        public=classes[0],
+        private=classes[1],
     )
 
 
@@ -203,10 +205,11 @@ _ED25519 = _eddsa(
     "1.3.101.112",
     128,
     (32, 64),
-    ed25519.Ed25519PublicKey,
-    ed25519.Ed25519PrivateKey,
+    (ed25519.Ed25519PublicKey, ed25519.Ed25519PrivateKey),
 )
-_ED448 = _eddsa("Ed448", "1.3.101.113", 224, (57, 114), ed448.Ed448PublicKey, ed448.Ed448PrivateKey)
+_ED448 = _eddsa(
+    "Ed448", "1.3.101.113", 224, (57, 114), (ed448.Ed448PublicKey, ed448.Ed448PrivateKey)
+)
 _P521 = _ecdsa(ec.SECP521R1(), "1.3.132.0.35", SHA512, "nist/P-521", NOWHERE)
 _BP256, _BP384 = (
     _ecdsa(curve, f"1.3.36.3.3.2.8.1.1.{arc}", digest, f"brainpool/{curve.name}", NOWHERE)

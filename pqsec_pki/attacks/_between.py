@@ -101,7 +101,7 @@ class _Between:
         )
 
 
-def _second_version(session: HandshakeSession) -> str | None:
+def _only_first_version(session: HandshakeSession) -> str | None:
     if session.version is WireVersion.FIRST:
         return None
     return "its messages are of the first version, which is refused here"
@@ -117,6 +117,6 @@ ATTACKS = (
         also=(Code.NOT_SIGNED,),
         because="it has no permissions here, since the permissions CA's key is not available",
         act=relay_key_shares,
-        not_applicable=_second_version,
+        not_applicable=_only_first_version,
     ),
 )

@@ -127,13 +127,13 @@ def _without(start: int, end: int, data: bytes) -> bytes:
     return _deflated(whole[:start] + whole[end:])
 
 
-def _plain(session: HandshakeSession) -> str | None:
+def _one_version(session: HandshakeSession) -> str | None:
     if session.agreement.binds_transcript:
         return None
     return f"messages with {session.agreement.wire_name} have one version"
 
 
-_row = partial(Attack, attacker=Attacker.ON_THE_WAY, not_applicable=_plain)
+_row = partial(Attack, attacker=Attacker.ON_THE_WAY, not_applicable=_one_version)
 ATTACKS = (
     _row(
         name="convert-version",

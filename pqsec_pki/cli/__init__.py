@@ -176,23 +176,7 @@ def pqsec() -> None:
 
 def main() -> None:
     """Run the command line and exit: 0 done or yes, 1 no, 2 usage, 3 could not be done."""
-    # pqsec ends silently when its reader closes the pipe, as `head` does.
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
-    # SIGTERM rolls back the change in progress, as Ctrl-C does.
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
-    _open_closed_streams()
-    # pqsec must be able to read its own files: ignore the owner's bits of the umask.
-    os.umask(os.umask(0o077) & 0o077)
-    if not sys.warnoptions:  # cryptography warns about unusual files: for developers only
-        warnings.simplefilter("ignore")
-        warnings.simplefilter("always", ForeignAlgorithmWarning)
-        warnings.showwarning = lambda message, *_: click.echo(
-            f"pqsec: warning: {message}", err=True
-        )
-    if isinstance(
-        sys.stdout, io.TextIOWrapper
-    ):  # a path may have characters that the terminal cannot show
-        sys.stdout.reconfigure(errors="backslashreplace")
+    _prepare_process()
     if os.environ.get(VARIABLE):
         with suppress(PqsecError, click.ClickException, OSError):  # they would be in the prompt
             pqsec.main(prog_name="pqsec", standalone_mode=False)
@@ -210,6 +194,27 @@ def main() -> None:
         _print_errors("interrupted")
         sys.exit(130)
     sys.exit(result if isinstance(result, int) else 0)
+
+
+def _prepare_process() -> None:
+    """Signals, standard streams, umask and warnings, before a command runs."""
+    # pqsec ends silently when its reader closes the pipe, as `head` does.
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
+    # SIGTERM rolls back the change in progress, as Ctrl-C does.
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
+    _open_closed_streams()
+    # pqsec must be able to read its own files: ignore the owner's bits of the umask.
+    os.umask(os.umask(0o077) & 0o077)
+    if not sys.warnoptions:  # cryptography warns about unusual files: for developers only
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", ForeignAlgorithmWarning)
+        warnings.showwarning = lambda message, *_: click.echo(
+            f"pqsec: warning: {message}", err=True
+        )
+    if isinstance(
+        sys.stdout, io.TextIOWrapper
+    ):  # a path may have characters that the terminal cannot show
+        sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def _open_closed_streams() -> None:

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pqsec_pki.handshake._checks import check
     from pqsec_pki.handshake.compact import (
         CREDENTIALS_DICTIONARY,
+        FIRST_ONLY,
         WireVersion,
         check_carried,
         compacted,
@@ -72,6 +73,7 @@ else:
 __all__ = [
     "CHALLENGE_SIZE",
     "CREDENTIALS_DICTIONARY",
+    "FIRST_ONLY",
     "GUID_SIZE",
     "HASH_SIZE",
     "MAX_SAMPLE",

@@ -85,6 +85,10 @@ class WireVersion(IntEnum):
         return () if self is WireVersion.FIRST else ((VERSION, b"%d" % self),)
 
 
+FIRST_ONLY = (WireVersion.FIRST,)
+"""What is sent and accepted unless somebody chooses: the version of stock stacks."""
+
+
 def version_of(found: Mapping[str, bytes]) -> WireVersion:
     """That of the message with the binary properties `found`; VerificationError if unknown."""
     if VERSION not in found:

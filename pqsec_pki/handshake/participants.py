@@ -18,7 +18,7 @@ from pqsec_pki.certificates import (
     verify_not_revoked,
 )
 from pqsec_pki.errors import PqsecError, VerificationError, shown
-from pqsec_pki.handshake.compact import WireVersion, check_carried
+from pqsec_pki.handshake.compact import FIRST_ONLY, WireVersion, check_carried
 from pqsec_pki.handshake.dialect import OURS, Dialect
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
@@ -59,14 +59,14 @@ class PeerRequirements:
 
     agreements: tuple[KeyAgreement, ...]
     """Key agreements that a Request may ask for; any other counts as a downgrade."""
-    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+    versions: tuple[WireVersion, ...] = FIRST_ONLY
     """The versions of messages that a peer may send; we send the first, and answer in its own."""
     require_alternative: bool = False
     """Whether the peer needs an alternative key, and an alternative signature by its CA."""
 
     def versions_with(self, agreement: KeyAgreement) -> tuple[WireVersion, ...]:
         """The versions for a Request with `agreement`: that of 1.1 is for stock stacks too."""
-        return self.versions if agreement.binds_transcript else (WireVersion.FIRST,)
+        return self.versions if agreement.binds_transcript else FIRST_ONLY
 
     @property
     def readable(self) -> frozenset[WireVersion]:

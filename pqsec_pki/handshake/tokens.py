@@ -8,10 +8,9 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import SIGNATURES, Family, KeyAgreement
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import VerificationError, shown
-from pqsec_pki.handshake.compact import WireVersion
+from pqsec_pki.handshake.compact import FIRST_ONLY, WireVersion
 from pqsec_pki.handshake.wire import DataHolder
 
-_FIRST = (WireVersion.FIRST,)
 _ALONE = f"{WireVersion.FIRST}"
 """What a sender announces by not announcing any."""
 
@@ -83,7 +82,7 @@ class IdentityToken(_Token):
         certificate: Certificate,
         ca: Certificate,
         agreements: Iterable[KeyAgreement],
-        versions: Iterable[WireVersion] = _FIRST,
+        versions: Iterable[WireVersion] = FIRST_ONLY,
     ) -> Self:
         """The token that we send if we accept Requests for `agreements`, in those `versions`.
 

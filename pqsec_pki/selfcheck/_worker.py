@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import KEY_AGREEMENTS
-from pqsec_pki.handshake import WireVersion
+from pqsec_pki.handshake import FIRST_ONLY, WireVersion
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.selfcheck.handshake_check import (
     HandshakeCheck,
@@ -39,7 +39,7 @@ class AllPairsJob:
     """Its name; None: the profile's, or the one that the stacks ask for."""
     stacks: tuple[str, str] = (PQSEC.name, PQSEC.name)
     """Names of the stacks of a pair; if they differ, each pair is run in both assignments."""
-    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+    versions: tuple[WireVersion, ...] = FIRST_ONLY
     """The versions of pqsec's messages."""
 
 

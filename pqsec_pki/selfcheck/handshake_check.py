@@ -14,6 +14,7 @@ from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import (
+    FIRST_ONLY,
     Identity,
     Terms,
     WireVersion,
@@ -51,7 +52,7 @@ class HandshakeSetup:
     now: datetime
     agreement: KeyAgreement | None = None
     """None: the profile's, or the one that the stacks ask for."""
-    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,)
+    versions: tuple[WireVersion, ...] = FIRST_ONLY
     """The versions of messages that pqsec sends and accepts, the first one preferred."""
     _read: dict[str, Credentials] = field(default_factory=dict, compare=False, repr=False)
     _documents: dict[str, ParticipantDocuments] = field(

@@ -9,7 +9,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import may_join, topics_between
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.handshake import WireVersion
+from pqsec_pki.handshake import FIRST_ONLY, WireVersion
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.handshake_check import (
     HandshakeCheck,
@@ -86,7 +86,7 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
     domain: int | None = None,
     stacks: tuple[SimulatedStack, SimulatedStack] = (PQSEC, PQSEC),
     agreement: KeyAgreement | None = None,
-    versions: tuple[WireVersion, ...] = (WireVersion.FIRST,),
+    versions: tuple[WireVersion, ...] = FIRST_ONLY,
 ) -> HandshakeReport:
     """Run the handshake between two participants, and report its steps and their common topics.
 

@@ -123,10 +123,11 @@ class Export:
             "notes": self.notes,
             "warnings": self.warnings,
         }
-        if folder is None:
-            return value
-        used = {"environment": self.variables(folder), "commands": self.commands(folder)}
-        return value | {"files": files} | used
+        if folder:
+            value["files"] = files
+            value["environment"] = self.variables(folder)
+            value["commands"] = self.commands(folder)
+        return value
 
 
 def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:
