@@ -101,6 +101,17 @@ def keys(
     note_places(outside, made.generated)
 
 
+@contextmanager
+def participants_own(profile: "Profile", uris: Uris) -> Iterator[dict[str, "PrivateKey"]]:
+    """The keys with the URIs, found or made, for a participant; errors as of `requests`."""
+    from pqsec_pki.enrolment import key_places  # noqa: PLC0415 -- not for --help
+    from pqsec_pki.tokens import participant_keys  # noqa: PLC0415 -- not for --help
+
+    with participant_keys(key_places(profile, uris), _passphrases.pin) as made:
+        yield {**made.keys}
+    note_places(uris, made.generated)
+
+
 def note_places(uris: Uris, generated: Collection[str]) -> None:
     """Say of each key that is outside whether it was made now."""
     for name, uri in uris.items():

@@ -9,7 +9,15 @@ import click
 
 from pqsec_pki import enrolment
 from pqsec_pki.algorithms import SealingPublicKey
-from pqsec_pki.cli import _bundles, _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import (
+    _bundles,
+    _completion,
+    _help,
+    _key_uris,
+    _passphrases,
+    _printing,
+    _settings,
+)
 from pqsec_pki.cli._names import admitted, named
 from pqsec_pki.cli._participant_options import (
     ParticipantOptions,
@@ -61,6 +69,7 @@ from pqsec_pki.smime import document_in
     metavar="PATTERN",
     help="With --csr: allow names like '/fleet/*' in requests, instead of NAME... only.",
 )
+@_key_uris.participant_options
 @_bundles.folder_option
 @_bundles.seal_option
 @click.option("--force", is_flag=True, help="Replace existing participants.")
@@ -95,7 +104,8 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     rights of these options, or of its grant in --policy, and no others. Without a NAME,
     every name in --policy is issued. A pattern ('/robot1/*') or group (@hall1) is
     what it stands for in --policy, or, to replace them with --force, in the keystore. With
-    --csr the keys stay on the robot, and bundles for `pqsec install` are written.
+    --csr the keys stay on the robot, and bundles for `pqsec install` are written. With
+    --participant-key-uri the key of one NAME is used from a token, or generated there.
     """
     wanted = ParticipantOptions.of(**how)
     if certificate_only:
@@ -106,6 +116,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     keystore = _settings.open_keystore(to_change=True)
     keys = _requested(keystore, requests, names, patterns) if requests else {}
     names = tuple(keys) or _matching(keystore, wanted, names)
+    _refuse_one_key(names, requests)
     into = (folder or Path()) if requests and not certificate_only else None
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
     specs = [replace(spec, keys=keys.get(spec.name)) for spec in wanted.specs(names, domain_set)]
@@ -152,7 +163,7 @@ def _made(
 ) -> "tuple[list[Issued], list[enrolment.IssuedBundle]]":
     """What was issued, and the bundles that were written, if there is a folder for them."""
     if into is None:
-        return issue_participants(keystore, authorities, specs, **choices), []
+        return _issued(keystore, authorities, specs, **choices), []
     bundles = enrolment.issue_with_bundles(
         keystore, authorities, specs, into, recipient=recipient, **choices
     )
@@ -176,6 +187,31 @@ def _refuse_rights(wanted: ParticipantOptions, domains: str | None, *bundles: Pa
         raise UsageError(
             "--certificate-only writes no bundles: they need permissions",
             hint="write them when the permissions are signed: `pqsec bundle`",
+        )
+
+
+def _issued(
+    keystore: Keystore, authorities: Authorities, specs: list[ParticipantSpec], **choices: Any
+) -> list[Issued]:
+    """What was issued, with keys in tokens if there are URIs for them."""
+    uris = _key_uris.given_for_participant()
+    with _key_uris.participants_own(keystore.profile, uris) as outside:
+        specs = [
+            replace(each, outside=outside, leaves_token=_key_uris.IN_FILE in uris.values())
+            for each in specs
+        ]
+        return issue_participants(keystore, authorities, specs, **choices)
+
+
+def _refuse_one_key(names: tuple[str, ...], requests: tuple[Path, ...]) -> None:
+    """UsageError if one key is named for several, or beside the keys of requests."""
+    uris = _key_uris.given_for_participant()
+    if uris and requests:
+        raise UsageError("--csr has the key already: leave its URI out")
+    if len(names) > 1 and set(uris.values()) - {_key_uris.IN_FILE}:
+        raise UsageError(
+            f"one key is named for {len(names)} participants",
+            hint="issue them one by one, each with a URI of its own",
         )
 
 

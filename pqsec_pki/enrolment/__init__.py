@@ -19,7 +19,13 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.outbox import refresh
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
     from pqsec_pki.enrolment.receipt_import import ImportedReceipt, import_receipts
-    from pqsec_pki.enrolment.requesting import Requested, make_sealing_key, request, requests
+    from pqsec_pki.enrolment.requesting import (
+        Requested,
+        key_places,
+        make_sealing_key,
+        request,
+        requests,
+    )
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
     from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
@@ -51,6 +57,7 @@ __all__ = [
     "install",
     "is_sealed",
     "issue_with_bundles",
+    "key_places",
     "make_sealing_key",
     "name_asked_for",
     "open_sealed",

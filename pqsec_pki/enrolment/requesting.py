@@ -67,7 +67,7 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
     a token would be followed by one in a file; errors as of `participant_keys`.
     """
     uris = uris or {}
-    wanted = _wanted(profile, uris)
+    wanted = key_places(profile, uris)
     with changing(root) as store:
         goals = {name: store.request_folder(name) for name in _named(store, names)}
         if not force:
@@ -86,8 +86,13 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
     ]
 
 
-def _wanted(profile: Profile, uris: Mapping[str, str]) -> dict[str, tuple[str, SignatureAlgorithm]]:
-    """What `participant_keys` takes; UsageError for a key that the profile does not have."""
+def key_places(
+    profile: Profile, uris: Mapping[str, str]
+) -> dict[str, tuple[str, SignatureAlgorithm]]:
+    """What `participant_keys` takes, without what shall be IN_FILE.
+
+    UsageError for a key that participants of the profile do not have.
+    """
     algorithms = {KEY: profile.participant_key, ALT_KEY: profile.alternative_key}
     found = {}
     for file, uri in uris.items():

@@ -283,9 +283,21 @@ class Keystore:
         return layout.is_there(self.root, layout.enclave_name(name))
 
     def has_key(self, name: str) -> bool:
-        """Whether the private key of the participant called `name` is in the keystore."""
-        folder = layout.enclave_folder(layout.enclave_name(name))
-        return exists(f"{self.root}/{folder}/{layout.KEY}", follow=False)
+        """Whether the private key of the participant called `name` is in the keystore.
+
+        It is not if the robot has it, or a token.
+        """
+        path = self._enclave(name) / layout.KEY
+        return exists(path, follow=False) and layout.KEY not in self.keys_outside(name)
+
+    def keys_outside(self, name: str) -> frozenset[str]:
+        """The names of the files of that participant that refer to a key in a token."""
+        folder = self._enclave(name)
+        there = (each for each in layout.KEYS if exists(folder / each, follow=False))
+        return frozenset(each for each in there if is_reference(read(folder / each)))
+
+    def _enclave(self, name: str) -> Path:
+        return self.root / layout.enclave_folder(layout.enclave_name(name))
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`, or it has no certificate."""

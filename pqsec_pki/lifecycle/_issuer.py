@@ -1,13 +1,13 @@
 """Creates the files of one participant, for issuing and for renewing."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import NamedTuple
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import PublicKey, private_key_pem
+from pqsec_pki.algorithms import PrivateKey, PublicKey
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Permissions
 from pqsec_pki.keystore import (
@@ -19,6 +19,7 @@ from pqsec_pki.keystore import (
     document_entry,
     layout,
 )
+from pqsec_pki.tokens import key_file
 
 
 class PublicKeys(NamedTuple):
@@ -73,14 +74,18 @@ class Issuer:
     authorities: Authorities
     now: datetime
 
-    def new_keys(self, folder: StagedFolder) -> PublicKeys:
-        """Generate the profile's keys; stage the private keys as key.pem and alt.key.pem."""
-        profile = self.keystore.profile
-        first = profile.participant_key.generate()
-        second = profile.alternative_key.generate() if profile.alternative_key else None
+    def new_keys(
+        self, folder: StagedFolder, outside: Mapping[str, PrivateKey] | None = None
+    ) -> PublicKeys:
+        """Generate the profile's keys, but those `outside`; stage key.pem and alt.key.pem."""
+        profile, given = self.keystore.profile, outside or {}
+        first = given.get(layout.KEY) or profile.participant_key.generate()
+        second = given.get(layout.ALT_KEY)
+        if profile.alternative_key and second is None:
+            second = profile.alternative_key.generate()
         for name, key in ((layout.KEY, first), (layout.ALT_KEY, second)):
             if key:
-                folder.private(name, private_key_pem(key))
+                folder.private(name, key_file(key))
         return PublicKeys(first.public_key, second.public_key if second else None)
 
     def stage(  # noqa: PLR0913 -- used within this room only

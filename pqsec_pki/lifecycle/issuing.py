@@ -1,15 +1,16 @@
 """Issuing participants: key, certificate and permissions for each, all or none."""
 
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import field, replace
 from datetime import datetime, timedelta
 from functools import partial
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
+from pqsec_pki.algorithms import PrivateKey, PublicKey
 from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
-from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
+from pqsec_pki.errors import ExistsError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import (
     Authorities,
     Keystore,
@@ -41,6 +42,10 @@ class ParticipantSpec:
     """Grants of a policy: their rules replace the domains and topics above."""
     keys: PublicKeys | None = None
     """The keys of a verified request; None to make new keys here."""
+    outside: Mapping[str, PrivateKey] = field(default_factory=dict, repr=False)
+    """Keys in tokens that are to be used, by the names of their files, which will refer to them."""
+    leaves_token: bool = False
+    """Whether a key in a token may be followed by one in a file."""
     config_digest: str = ""
     """The caller's value, which the ledger keeps through renewals; see `ParticipantState`."""
 
@@ -73,7 +78,8 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     Names must differ. ExistsError for participants that exist already, unless `force`;
     KeystoreError for revoked participants, unless `after_revocation`; VerificationError for
     keys that were revoked as compromised, unless `compromised_keys`, and for keys of another
-    participant; UsageError for an invalid name, topic or validity.
+    participant or a CA; UsageError for an invalid name, topic or validity, and if a key in a token
+    would be followed by one in a file, unless the spec `leaves_token`.
     """
     specs = _checked(keystore, specs, force=force)
     issuer = Issuer(keystore, authorities, now)
@@ -83,6 +89,8 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
         if not after_revocation:
             _refuse_revoked(keystore, specs, now)
         _refuse_keys(keystore, specs, now, compromised=compromised_keys)
+        _refuse_ca_keys(authorities, specs)
+        _refuse_files(keystore, specs)
         shared = _shared(keystore, authorities)
         folders = [
             transaction.folder(layout.enclave_folder(spec.name), private=True) for spec in specs
@@ -104,7 +112,7 @@ def _make(
     *,
     sign_permissions: bool,
 ) -> Issued:
-    keys = spec.keys or issuer.new_keys(folder)
+    keys = spec.keys or issuer.new_keys(folder, spec.outside)
     certificate = issuer.authorities.identity.issue(
         spec.name, keys.key, alternative=keys.alternative, now=issuer.now, validity=spec.validity
     )
@@ -206,13 +214,42 @@ def _refuse_keys(
     keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime, *, compromised: bool
 ) -> None:
     """VerificationError for requested keys that are compromised or another participant's."""
-    asked = {spec.name: spec.keys[:2] for spec in specs if spec.keys}
+    asked: dict[str, list[PublicKey | None]] = {
+        spec.name: [*spec.keys[:2]] if spec.keys else [key.public_key for key in outside]
+        for spec in specs
+        if (outside := [*spec.outside.values()]) or spec.keys
+    }
     if asked:
         with keystore.open_ledger() as ledger:
             known = {} if compromised else compromised_keys_in(keystore.root, ledger)
             for name, keys in asked.items():
                 refuse_compromised(known, name, keys)
             refuse_shared(ledger, asked, now)
+
+
+def _refuse_ca_keys(authorities: Authorities, specs: Iterable[ParticipantSpec]) -> None:
+    """VerificationError for a CA's key in a token: a participant could issue certificates."""
+    cas = (authorities.identity, authorities.permissions, authorities.countersigner)
+    known = {key.public_key.spki for ca in cas if ca for key in (ca.key, ca.alternative_key) if key}
+    for spec in specs:
+        if any(key.public_key.spki in known for key in spec.outside.values()):
+            raise VerificationError(
+                f"{spec.name}: that key is a CA's (CVE-2023-24010)",
+                hint="name a key of its own for the participant",
+            )
+
+
+def _refuse_files(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
+    """UsageError if a key in a token would be followed by one in a file."""
+    for spec in specs:
+        if spec.keys or spec.leaves_token:
+            continue
+        if outside := keystore.keys_outside(spec.name) - spec.outside.keys():
+            raise UsageError(
+                f"{min(outside)} of {spec.name} is in a token, and its new one would lie in a file",
+                hint="name the new key's place: --participant-key-uri (--alt-key-uri) URI, or"
+                " `file` for a file",
+            )
 
 
 def _refuse_revoked(keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime) -> None:

@@ -88,7 +88,7 @@ class Renewer:
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
             allowed = self.inspector.permissions(name, there)
-            rekey = self._rekey(name, (there / layout.KEY).exists())
+            rekey = self._rekey(name, keystore.has_key(name))
             keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
         validity = self.terms.validity or _length(old)
         certificate = self.issuer.authorities.identity.issue(
@@ -106,7 +106,7 @@ class Renewer:
     def _rekey(self, name: str, has_key: bool) -> bool:  # noqa: FBT001 -- of this module only
         if self.terms.rekey and not has_key:
             raise KeystoreError(
-                f"{name} has no key.pem here: its key was made elsewhere",
+                f"the key of {name} is not here, but on its robot or in a token",
                 hint="keep it (--keep-key), or make a new one where the old one is",
             )
         return has_key if self.terms.rekey is None else self.terms.rekey

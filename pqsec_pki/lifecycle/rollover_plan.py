@@ -144,7 +144,7 @@ class _Decider:
         """KeystoreError for a participant whose files are not the ledger's newest."""
         folder = self.inspector.keystore.root / layout.enclave_folder(name)
         certificate = self.inspector.certificate(name, folder)
-        has_key = exists(folder / layout.KEY)
+        has_key = self.inspector.keystore.has_key(name)
         if self.inspector.participants[name].issued_by_previous_ca:
             return _Decision("it was not reissued before: its CA has been replaced")
         why = self._why_new_keys(certificate, self.terms.profile)

@@ -15,12 +15,14 @@ from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import MAX_FILE, disk_errors, exists, read
-from pqsec_pki.algorithms import PrivateKey, load_private_key
+from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import certificates_in, only_certificate, only_list
 from pqsec_pki.errors import FileError, MalformedError, UsageError, located
 from pqsec_pki.plugin.property_names import understood
+from pqsec_pki.tokens import SCHEME, KeyUri, key_in, reference_to
 
+PRIVATE_KEY = "dds.sec.auth.private_key"
 MAX_TRUSTED = 64
 """Certificates in a folder of trusted CAs."""
 _CONTROL = set(map(chr, range(32)))
@@ -76,9 +78,11 @@ class Properties:
             return Source(name, None, rest[1:].encode(errors="surrogateescape"))
         if kind == "file" and colon and not _CONTROL & set(rest):
             return Source(name, self._folder / rest.removeprefix("//"))
+        if kind == SCHEME and name == PRIVATE_KEY:
+            return Source(name, None, reference_to(str(KeyUri.parse(value))))
         raise UsageError(  # the message does not quote it: it may be a key
             f"{name} is neither file: and a path nor data:,",
-            hint="keys in PKCS#11 modules are not supported",
+            hint="only a private key may be in a PKCS#11 token",
         )
 
     def folder(self, name: str) -> Path | None:
@@ -110,10 +114,13 @@ def certificates_at(source: Source) -> tuple[Certificate, ...]:
 
 
 def key_at(source: Source, password: str) -> PrivateKey:
-    """The private key in it. MalformedError, FileError or PassphraseError."""
+    """The private key in it, or in the token that it refers to.
+
+    MalformedError, FileError or PassphraseError; for a token errors as of `find_key`.
+    """
     secret = password.encode(errors="surrogateescape") if password else None
     with located(source.where):
-        return load_private_key(source.read(), secret)
+        return key_in(source.read(), secret)
 
 
 def revocation_list_at(source: Source) -> RevocationList:

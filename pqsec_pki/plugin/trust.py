@@ -31,7 +31,7 @@ from pqsec_pki.problems import Problem
 
 PROPERTIES: Mapping[str, str] = {
     CERTIFICATE: "dds.sec.auth.identity_certificate",
-    KEY: "dds.sec.auth.private_key",
+    KEY: credentials.PRIVATE_KEY,
     IDENTITY_CA: "dds.sec.auth.identity_ca",
     PERMISSIONS_CA: "dds.sec.access.permissions_ca",
     GOVERNANCE: "dds.sec.access.governance",

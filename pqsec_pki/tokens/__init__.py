@@ -14,11 +14,12 @@ if TYPE_CHECKING:
     from pqsec_pki.tokens.keys import find_key, key_file, key_in, made_keys, participant_keys
     from pqsec_pki.tokens.pin import Pin, stored_pin
     from pqsec_pki.tokens.reference import is_reference, reference_to, uri_in
-    from pqsec_pki.tokens.uri import KeyUri
+    from pqsec_pki.tokens.uri import SCHEME, KeyUri
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "SCHEME",
     "KeyUri",
     "Pin",
     "find_key",

@@ -30,6 +30,10 @@ _ID_SIZE = 16
 """Bytes of CKA_ID of a key that is generated here."""
 
 
+class _NoKeyError(PqsecError):
+    """A token has no such key."""
+
+
 @cache
 def library() -> Any:
     """The tokens' library, loaded; PqsecError if there is none."""
@@ -71,6 +75,11 @@ class Login:
             except pkcs11.TokenWriteProtected:
                 self.session = token.open(user_pin=self.pin)
 
+    def again(self) -> None:
+        """Log in again in a library that looks at its tokens anew."""
+        library().reinitialize()
+        self.open(typed=False)
+
     def run(self, work: Callable[[Any], Any]) -> Any:
         """`work` with the session; once more in a new one if the token was away meanwhile."""
         gone = (
@@ -83,7 +92,9 @@ class Login:
                 return work(self.session)
             except gone:
                 self.open(typed=False)
-                return work(self.session)
+            except _NoKeyError:  # some libraries do not say that the token was away
+                self.again()
+            return work(self.session)
 
 
 _Place = tuple[str | None, str | None]
@@ -122,14 +133,10 @@ def _opened(uri: KeyUri, place: _Place, secret: str, *, typed: bool) -> Login:
 def _token(uri: KeyUri) -> Any:
     """PqsecError unless exactly one token fits."""
     with _as_errors(uri):
-        found = [
-            token
-            for token in library().get_tokens(
-                token_label=uri.token, token_serial=uri.serial and uri.serial.encode()
-            )
-            if uri.manufacturer in {None, token.manufacturer_id}
-            and uri.model in {None, token.model}
-        ]
+        found = _tokens(uri)
+        if not found:
+            library().reinitialize()  # some libraries notice a new token only then
+            found = _tokens(uri)
     if not found:
         raise PqsecError(
             f"the {uri.place} is not there",
@@ -138,6 +145,15 @@ def _token(uri: KeyUri) -> Any:
     if len(found) > 1:
         raise PqsecError(f"{len(found)} tokens fit {uri}", hint="add serial=... to the URI")
     return found[0]
+
+
+def _tokens(uri: KeyUri) -> list[Any]:
+    serial = uri.serial and uri.serial.encode()
+    return [
+        token
+        for token in library().get_tokens(token_label=uri.token, token_serial=serial)
+        if uri.manufacturer in {None, token.manufacturer_id} and uri.model in {None, token.model}
+    ]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -163,11 +179,11 @@ def find(uri: KeyUri, pin: Pin) -> ExternalKey | None:
     """The key with that URI; None if the token has none. PqsecError if it is of no use here."""
     entry = login(uri, pin)
 
-    def work(session: Any) -> bytes | None:
+    def work(session: Any) -> bytes:
         private = _object(session, uri, private=True)
         public = _object(session, uri, private=False)
         if private is None:
-            return None
+            raise _NoKeyError(f"the {uri.place} has no key {uri}")
         if public is None:
             raise PqsecError(
                 f"the {uri.place} has the private key, and no public key with the same name",
@@ -175,8 +191,10 @@ def find(uri: KeyUri, pin: Pin) -> ExternalKey | None:
             )
         return key_type_of(public).spki(public)
 
-    spki = entry.run(work)
-    return _key(uri, spki, entry) if spki else None
+    try:
+        return _key(uri, entry.run(work), entry)
+    except _NoKeyError:
+        return None
 
 
 def generate(uri: KeyUri, algorithm: SignatureAlgorithm, pin: Pin) -> ExternalKey:
@@ -224,7 +242,7 @@ def _key(uri: KeyUri, spki: bytes, entry: Login) -> ExternalKey:
 def _private(session: Any, uri: KeyUri) -> Any:
     found = _object(session, uri, private=True)
     if found is None:
-        raise PqsecError(f"the {uri.place} has no private key {uri} any more")
+        raise _NoKeyError(f"the {uri.place} has no private key {uri} any more")
     return found
 
 

@@ -154,3 +154,70 @@ def test_a_token_with_another_key_under_that_name_is_refused(ca):
     ca.tool(*as_user, "--keypairgen", "--key-type", "EC:prime256v1", "--label", "robot")
     said = installed(ca, "--trust-first", exit_code=1)
     assert "no private key here matches the certificate" in said
+
+
+# A token that is plugged in beside the CAs
+
+
+def certified(token, *options, exit_code=0):
+    words = ("issue", *options, "--publish", "chatter")
+    return token.pqsec(*words, exit_code=exit_code)
+
+
+def test_a_key_is_made_in_the_participants_token_and_certified(ca, openssl):
+    assert f"{URI} was generated" in certified(ca, "robot", *IN_TOKEN)
+    ca.pqsec("issue", "listener", "--subscribe", "chatter")
+    enclave = ca.folder / "k/enclaves/robot"
+    openssl("verify", "-CAfile", ca.folder / "k/public/identity_ca.cert.pem", enclave / "cert.pem")
+    assert (enclave / "key.pem").read_text().startswith("-----BEGIN PKCS#11 PROVIDER URI")
+    assert "/robot to /listener" in ca.pqsec("verify-handshake", "robot", "listener")
+
+    requested(ca, *IN_TOKEN)  # the token moves to the robot, which says where its key is
+    ca.pqsec("bundle", "robot")
+    installed(ca, "--trust-first")
+
+
+def test_one_key_for_several_or_beside_a_request_is_refused(ca):
+    assert "named for 2" in certified(ca, "robot", "second", *IN_TOKEN, exit_code=2)
+    requested(ca)
+    said = certified(ca, "--csr", CSR, "robot", *IN_TOKEN, exit_code=2)
+    assert "--csr has the key already" in said
+    assert ca.objects() == ""
+
+
+def test_a_key_that_was_made_is_removed_if_nobody_is_issued(ca):
+    assert "64 characters" in certified(ca, "a" * 70, *IN_TOKEN, exit_code=2)
+    assert ca.objects() == ""
+
+
+def test_the_key_of_another_participant_is_refused(ca):
+    certified(ca, "robot", *IN_TOKEN)
+    said = certified(ca, "second", *IN_TOKEN, exit_code=1)
+    assert "its key is that of /robot" in said
+    assert ca.objects().count("Private Key Object") == 1
+
+
+def test_the_key_of_a_ca_is_refused(token):
+    ca_key = ("--permissions-key-uri", URI)
+    token.pqsec("ca", "init", "--profile", "classical", "--no-passphrase", *ca_key)
+    said = certified(token, "robot", *IN_TOKEN, exit_code=1)
+    assert "that key is a CA's" in said
+
+
+def test_renewing_keeps_the_key_in_the_token(ca):
+    certified(ca, "robot", *IN_TOKEN)
+    before = (ca.folder / "k/enclaves/robot/key.pem").read_bytes()
+    ca.pqsec("renew", "robot")
+    assert "or in a token" in ca.pqsec("renew", "robot", "--rekey", exit_code=3)
+    ca.pqsec("ca", "rotate", "--apply", "--yes", "--no-passphrase")
+    assert (ca.folder / "k/enclaves/robot/key.pem").read_bytes() == before
+    ca.pqsec("issue", "listener", "--subscribe", "chatter")
+    ca.pqsec("verify-handshake", "robot", "listener")
+
+
+def test_a_participants_new_key_lies_in_a_file_only_if_it_is_said(ca):
+    certified(ca, "robot", *IN_TOKEN)
+    said = certified(ca, "robot", "--force", exit_code=2)
+    assert "key.pem of /robot is in a token, and its new one would lie in a file" in said
+    certified(ca, "robot", "--force", "--participant-key-uri", "file")
+    assert "BEGIN PRIVATE KEY" in (ca.folder / "k/enclaves/robot/key.pem").read_text()

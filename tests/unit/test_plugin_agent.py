@@ -459,7 +459,7 @@ def test_a_log_that_has_grown_loses_its_older_half(place):
 
 def test_an_agent_loads_little_before_its_first_answer():
     """The first participant waits for it. Its worker loads lxml with the first document."""
-    rooms = "access algorithms certificates credentials documents handshake plugin smime"
+    rooms = "access algorithms certificates credentials documents handshake plugin smime tokens"
     costly = "argparse ast asyncio concurrent http json logging multiprocessing ssl subprocess"
     code = (
         "import sys; before = set(sys.modules); import pqsec_pki.plugin.__main__\n"

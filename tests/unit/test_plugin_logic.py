@@ -106,7 +106,14 @@ def test_nobody_waits_for_a_pipe_in_the_place_of_a_file(folders, tmp_path, name)
     ("name", "value", "words"),
     [
         ("dds.sec.auth.private_key", "", "is not configured"),
-        ("dds.sec.auth.private_key", "pkcs11:token", "neither file: and a path nor data:,"),
+        ("dds.sec.auth.private_key", "pkcs11:token", "'token' in the URI of a key has no valid"),
+        ("dds.sec.auth.private_key", "pkcs11:token=\udcff;object=x", "has no valid value"),
+        (
+            "dds.sec.auth.private_key",
+            "pkcs11:token=x;object=x?pin-value=1",
+            "a PIN does not belong",
+        ),
+        ("dds.sec.auth.identity_ca", "pkcs11:token=x;object=x", "neither file: and a path"),
         ("dds.sec.auth.identity_ca", "data:,x", "no certificate in PEM"),
         ("dds.sec.auth.identity_certificate", "file:nowhere.pem", "no such file"),
         ("dds.sec.auth.trusted_ca_dir", "nowhere", "no such file"),

@@ -56,7 +56,10 @@ MAY_IMPORT: dict[str, set[str]] = {
         *("algorithms", "policy", "credentials"),
     },
     "inspection": {"documents", "smime", "certificates", "algorithms", "tokens"},
-    "plugin": {"handshake", "access", "documents", "smime", "certificates", "algorithms"},
+    "plugin": {
+        *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
+        "tokens",
+    },
     "selfcheck": {
         *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
         *("keystore", "lifecycle"),

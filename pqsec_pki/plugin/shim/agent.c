@@ -24,7 +24,7 @@
 #define RUN_USER "/run/user"
 #endif
 
-enum { PATIENCE_MS = 5000, MAX_KEPT = 16 };
+enum { PATIENCE_MS = 5000, MAX_KEPT = 24 };
 
 int agent_patience_ms(void)
 {
@@ -117,7 +117,8 @@ bool agent_may_start(const char *path, int *lock)
 static char **kept_environment(void)
 {
   static const char *const names[] = {"HOME=", "LANG=", "LC_", "PATH=", "TZ=", "USER=",
-                                      "XDG_RUNTIME_DIR="};
+                                      "XDG_RUNTIME_DIR=", "PQSEC_PKCS11_MODULE=",
+                                      "PQSEC_PIN_FILE="};
   static char *kept[MAX_KEPT + 1];
   size_t count = 0;
   for (char **each = environ; *each != NULL && count < MAX_KEPT; each++)

@@ -42,7 +42,7 @@ class Shim:
     def kill_agent(self, process: int = 0) -> None:
         """Kill the agent, or the one that is meant, with its workers, and see them gone."""
         process = process or self.wait_for_agent()
-        them = [process, *_children(process)]
+        them = [process, *children(process)]
         for each in them:
             with suppress(ProcessLookupError):
                 os.kill(each, signal.SIGKILL)
@@ -50,7 +50,7 @@ class Shim:
             time.sleep(0.01)
 
 
-def _children(process: int) -> list[int]:
+def children(process: int) -> list[int]:
     path = Path(f"/proc/{process}/task/{process}/children")
     return list(map(int, path.read_text().split())) if path.exists() else []
 
