@@ -10,7 +10,7 @@ import click
 
 from pqsec_pki import migration
 from pqsec_pki._files import read, refuse_existing, write
-from pqsec_pki.algorithms import load_private_key, profile_named
+from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import verify_authority
 from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
 from pqsec_pki.credentials import only_certificate
@@ -28,6 +28,7 @@ from pqsec_pki.report import (
     statement_of,
 )
 from pqsec_pki.smime import Signer, sign
+from pqsec_pki.tokens import key_in
 
 
 @_help.command(
@@ -193,7 +194,8 @@ def _signing(
         verify_authority(certificate, now=_settings.now())
     passphrase = _passphrases.of_key(passphrase_file)
     with located(key_file):
-        key = load_private_key(read(key_file), passphrase.encode() if passphrase else None)
+        secret = passphrase.encode() if passphrase else None
+        key = key_in(read(key_file), secret, _passphrases.pin)
     if key.public_key.spki != certificate.spki:
         raise KeystoreError(f"{key_file} is not the private key of {place}")
     return partial(sign, signer=Signer(certificate, key), now=_settings.now())

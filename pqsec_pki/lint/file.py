@@ -20,6 +20,7 @@ from pqsec_pki.smime import (
     is_signed,
     signers_in,
 )
+from pqsec_pki.tokens import is_reference, uri_in
 
 _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
 """PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, then a tag that certificates and CRLs lack."""
@@ -89,11 +90,19 @@ class File:
         return in_pem or _DER_KEY.match(self.data) is not None
 
     @cached_property
+    def is_reference(self) -> bool:
+        """Whether it refers to a private key in a token."""
+        return is_reference(self.data)
+
+    @cached_property
     def private_key(self) -> PrivateKeyInfo:
-        """The private key in it."""
+        """The private key in it. A token is not asked."""
         if self.unreadable or is_encrypted(self.data):
             return PrivateKeyInfo()
         try:
+            if self.is_reference:
+                uri_in(self.data)
+                return PrivateKeyInfo()
             return PrivateKeyInfo(load_private_key(self.data).public_key.spki)
         except UnknownAlgorithmError:
             return PrivateKeyInfo()  # stacks accept some kinds that pqsec does not

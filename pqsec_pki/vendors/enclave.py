@@ -25,6 +25,7 @@ from pqsec_pki.credentials import (
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, located, problems_of, shown
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code, Problem
+from pqsec_pki.tokens import is_reference, uri_in
 from pqsec_pki.vendors.exports import PASSWORD_VARIABLE, Options
 
 _INSTALLED = "/etc/dds/current/enclaves"
@@ -44,6 +45,8 @@ class StackEnclave:
     """The keystore's folder, absolute."""
     profile: Profile
     key_is_encrypted: bool
+    key_uri: str | None
+    """The place of the private key, if it is in a token."""
     has_crl: bool
     """Whether there is a revocation list beside the certificate."""
     has_large_handshake: bool
@@ -66,13 +69,15 @@ class StackEnclave:
         _refuse_incomplete(folder, name, without={KEY} if elsewhere else set())
         has_crl = exists(folder / REVOCATION_LIST)
         with located(folder / KEY):
-            encrypted = not elsewhere and is_encrypted(read(folder / KEY))
+            key = b"" if elsewhere else read(folder / KEY)
+            key_uri = uri_in(key) if is_reference(key) else None
         return cls(
             name=name,
             folder=folder,
             keystore=root,
             profile=profile,
-            key_is_encrypted=encrypted,
+            key_is_encrypted=is_encrypted(key),
+            key_uri=key_uri,
             has_crl=has_crl,
             has_large_handshake=profile.alternative_key is not None or not profile.runs_in_stock,
             at=where,
@@ -81,8 +86,8 @@ class StackEnclave:
     def refusals(self, now: datetime) -> tuple[Problem, ...]:
         """Why its credentials cannot be trusted at `now` (room `credentials`); empty if they can.
 
-        An encrypted key, or one that is on its robot, is not checked. FileError for a file that
-        cannot be read.
+        A key that is encrypted, on its robot or in a token is not checked. FileError for a file
+        that cannot be read.
         """
         names = [each for each in FILES if not (self.key_is_encrypted and each in KEYS)]
         files = {each: read(self.folder / each) for each in names if exists(self.folder / each)}

@@ -49,6 +49,12 @@ _UNREAD = (
     f"if Fast DDS cannot read {FILE}, the file that its variable names, it only logs a message and"
     " runs unsecured"
 )
+_ENGINE = (
+    "Fast DDS asks the token by OpenSSL's engine pkcs11 (libengine-pkcs11-openssl), which wants the"
+    " token's library in PKCS11_MODULE_PATH, unless p11-kit knows it, and the PIN in"
+    " FASTDDS_PKCS11_PIN, or in the file that the key's URI names (pin-source), without a line end:"
+    " with none, it tries an empty PIN"
+)
 _REPLACED = re.compile(r"\$\{[A-Z_][A-Z0-9_]*\}")
 
 
@@ -58,6 +64,8 @@ def export(enclave: StackEnclave, options: Options) -> Export:
     properties = _properties(enclave, options)
     environment = {VARIABLES[each]: f"{FOLDER}/{FILE}" for each in generations}
     notes: tuple[str, ...] = (_UNREAD,)
+    if enclave.key_uri and not options.plugin:
+        notes += (_ENGINE,)
     if options.plugin:
         path = _preload.preloaded(options.plugin, options, options.release)
         environment[_preload.VARIABLE] = str(path)
@@ -104,7 +112,7 @@ def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
         "dds.sec.auth.plugin": "builtin.PKI-DH",
         f"{_AUTH}.identity_ca": enclave.uri(IDENTITY_CA),
         f"{_AUTH}.identity_certificate": enclave.uri(CERTIFICATE),
-        f"{_AUTH}.private_key": enclave.uri(KEY),
+        f"{_AUTH}.private_key": _private_key(enclave, options),
     }
     if enclave.key_is_encrypted:
         found[f"{_AUTH}.password"] = _password(options)
@@ -123,6 +131,11 @@ def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
         "dds.sec.crypto.plugin": "builtin.AES-GCM-GMAC",
     }
     return found
+
+
+def _private_key(enclave: StackEnclave, options: Options) -> str:
+    """Its own plugin reads no file that refers to a key, but the URI."""
+    return enclave.uri(KEY) if options.plugin or not enclave.key_uri else enclave.key_uri
 
 
 def _password(options: Options) -> str:

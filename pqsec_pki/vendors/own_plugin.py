@@ -66,7 +66,7 @@ def is_of_others(finding: Finding) -> bool:
 def refusal(enclave: StackEnclave, options: Options, now: datetime) -> VerificationError | None:
     """Why our plugin refuses the participant, if it is to run at all; empty if it accepts it.
 
-    It is not run with a key that is on its robot, or is encrypted here.
+    It is not run with a key that is on its robot or in a token, or is encrypted here.
     """
     if options.plugin is None:
         return None
@@ -84,7 +84,8 @@ def _ask(enclave: StackEnclave, options: Options, now: datetime) -> None:
     from pqsec_pki.plugin.identity import Local  # noqa: PLC0415 -- likewise
 
     pairs = tuple(_properties(enclave, options).items())
-    if _is_file(enclave.folder / KEY) and (options.password or not enclave.key_is_encrypted):
+    is_open = enclave.key_uri is None and not enclave.key_is_encrypted
+    if _is_file(enclave.folder / KEY) and (options.password or is_open):
         Local.load(Properties(pairs, "/"), _CANDIDATE, now)
     AccessControl(lambda: now).validate_local_permissions(0, _ANY_DOMAIN, "/", pairs)
 

@@ -41,6 +41,8 @@ class Exporter:
     """Whether its configuration names the security plugins."""
     loads_ours: tuple[str, ...] = ()
     """The files of pqsec's own plugin that it can load in place of its own."""
+    takes_key_uris: bool = False
+    """Whether its own plugin is known to take a private key in a token."""
     evidence: str
     """How it is known that the stack accepts the export."""
 
@@ -92,6 +94,7 @@ EXPORTERS = (
         end=(4,),
         knows_loopback=True,
         loads_ours=(PRELOAD,),
+        takes_key_uris=True,
         evidence="run",
     ),
     Exporter(
@@ -142,6 +145,7 @@ def export(
     enclave = StackEnclave.find(keystore, name, options.at)
     if options.password is not None and not enclave.key_is_encrypted:
         raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
+    _refuse_token(exporter, enclave, options)
     made = exporter.make(enclave, options)
     report = check([enclave.folder], now=now, targets=[stack])
     found: dict[Severity | None, list[Finding]] = {}
@@ -201,6 +205,17 @@ def _refuse_place(exporter: Exporter, options: Options) -> None:
     for each in places:
         if options.at and not each.is_absolute():
             raise UsageError(f"{each}: not an absolute path", hint="as it is there")
+
+
+def _refuse_token(exporter: Exporter, enclave: StackEnclave, options: Options) -> None:
+    """VerificationError for a key in a token, if the plugin that is to run takes none."""
+    if enclave.key_uri and not (options.plugin or exporter.takes_key_uris or options.anyway):
+        way = "run pqsec's plugin in it (--plugin), or " if exporter.loads_ours else ""
+        raise VerificationError(
+            f"the key of {enclave.name} is in a token, and {exporter.stack.product}'s own plugin is"
+            " not known to take one",
+            hint=f"{way}issue it with a key in a file: --force --participant-key-uri file",
+        )
 
 
 def _refuse_plugin(exporter: Exporter, options: Options) -> None:

@@ -74,6 +74,8 @@ MAY_IMPORT["report"] = MAY_IMPORT["policy"] | {"policy", "lint", "migration"}
 MAY_IMPORT["learning"] = {"policy", "access", "keystore", "documents"}
 MAY_IMPORT["trial"] = {"vendors", "keystore", "access", "documents", "smime", "plugin"}
 MAY_IMPORT["attacks"] = MAY_IMPORT["selfcheck"] | {"selfcheck"}
+MAY_IMPORT["lint"] |= {"tokens"}
+MAY_IMPORT["vendors"] |= {"tokens"}
 for room in ("vendors", "plugin", "selfcheck", "lint", "enrolment", "trial", "attacks"):
     MAY_IMPORT[room] = MAY_IMPORT[room] | {"credentials"}
 MAY_IMPORT["cbom"] = {

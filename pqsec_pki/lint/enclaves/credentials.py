@@ -64,6 +64,28 @@ def unreadable_key(enclave: EnclaveFolder) -> Iterator[Violation]:
 
 
 @lint_rule(
+    "PQS328", Severity.INFO, "a key in a token was not checked",
+    why="The file refers to a key elsewhere, which this check does not ask for. Whether it is the"
+    " certificate's is unknown. Stacks' own plugins take no such file, and pqsec's does.",
+    fix="`pqsec verify-handshake` asks the token. A key in a file again: `pqsec issue --force"
+    " --participant-key-uri file`.",
+    bad="""
+        $ echo '-----BEGIN PKCS#11 PROVIDER URI-----' > reference
+        $ echo MDsaGVBLQ1MjMTEgUHJvdmlkZXIgVVJJIHYxLjAMHnBrY3MxMTp0b2tlbj1sYWI7 >> reference
+        $ echo b2JqZWN0PXRhbGtlcg== >> reference
+        $ echo '-----END PKCS#11 PROVIDER URI-----' >> reference
+        $ cp reference k/enclaves/talker/key.pem
+    """,
+    good="$ pqsec -k k issue --force --participant-key-uri file --publish chatter /talker",
+)  # fmt: skip
+def key_in_token(enclave: EnclaveFolder) -> Iterator[Violation]:
+    for name in (KEY, ALT_KEY):
+        file = enclave.files.get(name)
+        if file and file.is_reference and not file.private_key.reason:
+            yield Violation("refers to a key in a token, which was not checked", path=file.path)
+
+
+@lint_rule(
     "PQS306", Severity.ERROR, "the identity CA did not issue the certificate",
     why="Neither this participant nor its peers can verify it.",
     fix="Use the CA that issued the certificate, or issue the participant again.",

@@ -42,7 +42,7 @@ def own(shim, token, monkeypatch) -> Shim:
     place = AgentFolder.of(os.environ)
     yield Shim(shim.folder, place)
     stop_agent(place)
-    shutil.rmtree(runtime)
+    shutil.rmtree(runtime, ignore_errors=True)
 
 
 @pytest.fixture
