@@ -24,7 +24,7 @@ PIPE_PATIENCE = 5.0
 """Seconds to wait for a writer of a pipe; a writer may take any time."""
 
 _PIECE = 1 << 16
-"""Bytes that are read at once beyond the size that the system tells: that of a pipe is 0."""
+"""Bytes that are read at once beyond the size that the system reports: that of a pipe is 0."""
 _KINDS = {
     errno.EEXIST: ExistsError,
     errno.ENOENT: MissingError,

@@ -29,13 +29,19 @@ class Environment:
     system: str
     machine: str
     processor: str
-    """The processor's name; empty if the system does not tell it."""
+    """The processor's name; empty if the system does not report it."""
     cores: int
     """That this process may use."""
     governor: str
-    """The frequency governor of the first core; empty if the system does not tell it."""
+    """The frequency governor of the first core; empty if the system does not report it."""
     load: tuple[float, float, float]
     """Average number of running processes in the last 1, 5 and 15 minutes."""
+
+    @property
+    def hardware(self) -> str:
+        """The processor, its cores and the load, as one line."""
+        name = self.processor or self.machine
+        return f"{name}, {self.cores} cores, load {self.load[0]:.1f}"
 
     @classmethod
     def here(cls, now: datetime) -> Self:

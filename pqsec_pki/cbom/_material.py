@@ -1,7 +1,7 @@
 """Certificates, keys, revocation lists and signatures as assets. No key's bits are in them."""
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from cyclonedx.model.bom_ref import BomRef
 from cyclonedx.model.crypto import (
@@ -64,14 +64,7 @@ def add_certificate(assets: Assets, certificate: Certificate, place: str, issuer
     issuer = issuers.named(certificate.issuer_der)
     signature = _algorithms.signed_with(assets, certificate.identifier, issuer)
     key = add_public_key(assets, certificate.spki)
-    needs, details = [signature, key], []
-    if alternative := certificate.alternative:
-        if alternative.spki:
-            needs.append(add_public_key(assets, alternative.spki))
-            details.append(("alternativePublicKey", needs[-1]))
-        if alternative.identifier:
-            needs.append(_algorithms.signed_with(assets, alternative.identifier, None))
-            details.append(("alternativeSignatureAlgorithm", needs[-1]))
+    details = tuple(_alternatives(assets, certificate))
     properties = CertificateProperties(
         subject_name=certificate.subject_name,
         issuer_name=certificate.issuer_name,
@@ -87,12 +80,22 @@ def add_certificate(assets: Assets, certificate: Certificate, place: str, issuer
         crypto=CryptoProperties(
             asset_type=CryptoAssetType.CERTIFICATE, certificate_properties=properties
         ),
-        needs=tuple(needs),
+        needs=(signature, key, *(ref for _, ref in details)),
         sha256=certificate.fingerprint,
-        details=tuple(details),
+        details=details,
         added={"serialNumber": f"{certificate.serial_number:x}"},
     )
     return assets.add(asset, place)
+
+
+def _alternatives(assets: Assets, certificate: Certificate) -> Iterator[tuple[str, str]]:
+    """The alternative key and signature of a certificate: each its name and ref."""
+    alternative = certificate.alternative
+    if alternative and alternative.spki:
+        yield "alternativePublicKey", add_public_key(assets, alternative.spki)
+    if alternative and alternative.identifier:
+        signature = _algorithms.signed_with(assets, alternative.identifier, None)
+        yield "alternativeSignatureAlgorithm", signature
 
 
 def add_public_key(assets: Assets, spki: bytes, *places: str) -> str:

@@ -162,10 +162,7 @@ def _lines(environment: Environment, title: str, found: MeasuredMeshes) -> Itera
     yield "all, median and longest of complete runs. met: seconds until a host had met another."
     yield "datagrams: sent by all hosts until then; repeats: of handshake messages; median of runs."
     yield f"{title}, pqsec {environment.pqsec}, {environment.system}"
-    yield (
-        f"{environment.processor or environment.machine}, {environment.cores} cores,"
-        f" load {environment.load[0]:.1f}"
-    )
+    yield environment.hardware
 
 
 def _row(case: MeshCase, runs: Sequence[MeshRun]) -> tuple[str, ...]:

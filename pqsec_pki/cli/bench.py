@@ -228,7 +228,7 @@ def _lines(
     yield "memory: the most that Python held for one handshake, without OpenSSL's own."
     here = environment
     yield f"pqsec {here.pqsec}, {here.python}, cryptography {here.cryptography}, {here.openssl}"
-    yield f"{here.processor or here.machine}, {here.cores} cores, load {here.load[0]:.1f}"
+    yield here.hardware
 
 
 def _row(each: MeasuredSuite, fragment: int) -> tuple[str, ...]:

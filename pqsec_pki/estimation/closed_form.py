@@ -24,7 +24,7 @@ from pqsec_pki.estimation.scenario import (
 STEP = 0.1
 """Seconds of the grid."""
 HORIZON = 600.0
-"""Seconds: what takes longer is not told."""
+"""Seconds: longer times are not computed."""
 _BINS = int(HORIZON / STEP)
 _TURNS = 64
 """Pairs of a fleet, evenly spread in the order in which the processors reach them."""

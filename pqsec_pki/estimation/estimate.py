@@ -13,7 +13,7 @@ from pqsec_pki.estimation.simulation import Simulated, simulated
 from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
 
 TIMES = (1, 2, 5, 10, 30, 60)
-"""Seconds for which the share of pairs apart is told."""
+"""Seconds after which the share of pairs that have not met is given."""
 _WORTH = 0.8
 """Advice must bring the median below this part of it."""
 VALIDITY = (

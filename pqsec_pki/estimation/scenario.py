@@ -38,7 +38,7 @@ HEADERS = 92
 """Bytes of UDP, RTPS and DATA_FRAG around a fragment."""
 _MILLI = 1000
 _MOST_GROWTH = 30.0
-"""An exponent beyond which no time is told: its power is 10^13."""
+"""The largest exponent that is computed: its power is 10^13."""
 _LEAST = 1e-12
 """A probability below which nothing arrives; its inverse is still a number."""
 

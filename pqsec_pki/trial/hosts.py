@@ -43,7 +43,7 @@ class HostsSetup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class HostOutcome:
-    """What one host did; times are seconds from when all were told to join."""
+    """What one host did; times are seconds from the line that lets all join."""
 
     joined: float | None
     """When its participant was created."""
