@@ -66,13 +66,13 @@ def of_cas(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa"
     if not keystore.is_locked(cas):
         return None
     if passphrase_file:
-        return _read(passphrase_file)
+        return first_line(passphrase_file)
     if not sys.stdin.isatty():
         raise UsageError(
             "the CA keys are encrypted, and there is no terminal to ask for the passphrase",
             hint=f"use --passphrase-file FILE, or set {VARIABLE}",
         )
-    return _asked("CA passphrase")
+    return asked("CA passphrase")
 
 
 def pin(token: str) -> str:
@@ -83,7 +83,7 @@ def pin(token: str) -> str:
     if file or not sys.stdin.isatty():
         _note_open(Path(file or os.devnull))
         return stored_pin(token)
-    return _asked(f"PIN of token '{token}'").decode()
+    return asked(f"PIN of token '{token}'").decode()
 
 
 def new(
@@ -99,13 +99,13 @@ def new(
         return None
     if passphrase_file:
         with located(passphrase_file):
-            return _strong(_read(passphrase_file))
+            return _strong(first_line(passphrase_file))
     if not sys.stdin.isatty():
         raise UsageError(
             "the CA keys need a passphrase, and there is no terminal to ask for one",
             hint=f"use {option} FILE, or --no-passphrase to leave them unencrypted",
         )
-    return _strong(_asked("New CA passphrase", twice=True))
+    return _strong(asked("New CA passphrase", twice=True))
 
 
 def _strong(passphrase: bytes) -> bytes:
@@ -133,7 +133,7 @@ def of_key(path: Path | None) -> str | None:
     """The passphrase of a participant's key, as text for a stack; None without a file."""
     if path is None:
         return None
-    return _text(_read(path), path)
+    return _text(first_line(path), path)
 
 
 def _text(secret: bytes, path: Path) -> str:
@@ -143,7 +143,7 @@ def _text(secret: bytes, path: Path) -> str:
         raise PassphraseError(f"{path}: the first line is not UTF-8") from None
 
 
-def _asked(what: str, *, twice: bool = False) -> bytes:
+def asked(what: str, *, twice: bool = False) -> bytes:
     try:
         answer: str = click.prompt(what, hide_input=True, confirmation_prompt=twice, err=True)
         return answer.encode()
@@ -157,7 +157,7 @@ def _note_open(path: Path) -> None:
             _printing.note(f"{path} can be read by others: chmod 600 it")
 
 
-def _read(path: Path) -> bytes:
+def first_line(path: Path) -> bytes:
     """The first line of the file, without its line end. PassphraseError if it is empty."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
 

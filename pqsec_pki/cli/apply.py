@@ -8,25 +8,31 @@ from pathlib import Path
 import click
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import is_there
 from pqsec_pki._processes import watched
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
+from pqsec_pki.cli.approve import approval_path, read_approval, read_proposal
 from pqsec_pki.cli.plan import (
+    PROPOSAL_SUFFIX,
     file_argument,
     new_keys_option,
     prune_option,
     show,
 )
 from pqsec_pki.domain import (
+    ApprovedPlan,
     Desired,
     Plan,
     Step,
     StepAction,
     apply_plan,
+    approved_plan,
     change_profile,
     create_keystore,
     read_domain,
     refuse_mass_revocation,
+    refuse_unapproved,
 )
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.enrolment import refresh
@@ -38,6 +44,7 @@ from pqsec_pki.keystore import Authorities, Keystore
     examples={
         "Make the changes of `pqsec plan`, without a question": ("pqsec apply domain.yaml --yes"),
         "Test whether the keystore matches the file": "pqsec apply domain.yaml --check",
+        "Make the changes of a plan that was approved": "pqsec apply plan.json --yes",
         "Also write bundles for robots that generated their own keys": (
             "pqsec apply domain.yaml --yes --bundles bundles"
         ),
@@ -46,7 +53,7 @@ from pqsec_pki.keystore import Authorities, Keystore
         0: "the keystore matches the file",
         1: (
             "FILE is not valid, a participant stays blocked, or with --check there are changes to"
-            " make"
+            " make; or a plan does not fit, or has too few approvals"
         ),
         3: "FILE or the keystore cannot be read, or a participant could not be changed",
     },
@@ -66,6 +73,14 @@ from pqsec_pki.keystore import Authorities, Keystore
     help="Write to DIR a bundle for each participant that has its key on the robot.",
 )
 @click.option(
+    "--approval",
+    "approval_files",
+    multiple=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="An approval of the plan FILE.  [default: those beside it: FILE.NAME.approval]",
+)
+@click.option(
     "--revoke-most",
     is_flag=True,
     help="With --yes: allow to revoke more participants than FILE names.",
@@ -78,6 +93,7 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
     file: Path,
     passphrase_file: Path | None,
     folder: Path | None,
+    approval_files: tuple[Path, ...],
     *,
     check: bool,
     yes: bool,
@@ -90,21 +106,30 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
 
     FILE is domain.yaml if not named; `pqsec plan` shows the changes. Each batch of
     participants is one change of the keystore. If it is interrupted, run it again: it makes
-    the changes that are left.
+    the changes that are left. A FILE that ends in .json is a plan of `pqsec plan -o` with
+    approvals of `pqsec approve`: exactly its changes are made.
     """
     if check and folder:
         raise UsageError(
             "--check and --bundles exclude each other", hint="--check does not write anything"
         )
-    desired, now = read_domain(file), _settings.now()
-    keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
-    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
+    wanted: _Wanted
+    if file.suffix == PROPOSAL_SUFFIX:
+        if prune or new_keys:
+            raise UsageError("--prune and --new-keys are for a domain file: a plan says all")
+        wanted = _of_plan(file, approval_files, check=check)
+    else:
+        if approval_files:
+            raise UsageError("--approval is for a plan", hint="`pqsec plan` with -o makes one")
+        wanted = _of_domain(file, check=check, prune=prune, new_keys=new_keys)
+    desired, keystore, found = wanted.desired, wanted.keystore, wanted.found
     changes, done = bool(found.steps) and not check, list[Step]()
     if changes:
         if not yes:
             _ask(found, desired)
         elif not revoke_most:
             refuse_mass_revocation(desired, found)
+        keystore, found = wanted.begun()
         passphrases = _CaPassphrases(passphrase_file, none=no_passphrase)
         keystore, done = _made(desired, keystore, found, passphrases, folder)
     written = _BundleWriter(desired, keystore, found, folder).fill(len(done)) if keystore else []
@@ -114,6 +139,43 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         show(found, desired)
     if found.blocked or (check and found.steps):
         click.get_current_context().exit(1)
+
+
+@dataclass(frozen=True, slots=True)
+class _Wanted:
+    """What is to be done."""
+
+    desired: Desired
+    keystore: Keystore | None
+    found: Plan
+    approved: ApprovedPlan | None = None
+
+    def begun(self) -> tuple[Keystore | None, Plan]:
+        """The keystore to change and the plan, after approvals are in the ledger."""
+        if self.approved is None:
+            return self.keystore, self.found
+        begun = self.approved.begin(_settings.now())
+        return begun.keystore, begun.plan
+
+
+def _of_domain(file: Path, *, check: bool, prune: bool, new_keys: bool) -> _Wanted:
+    desired, now = read_domain(file), _settings.now()
+    keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
+    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
+    if keystore and not check:
+        refuse_unapproved(desired, keystore, found, now=now)
+    return _Wanted(desired, keystore, found)
+
+
+def _of_plan(file: Path, approval_files: tuple[Path, ...], *, check: bool) -> _Wanted:
+    proposal, first = read_proposal(file)
+    beside = [approval_path(file, name) for name in proposal.policy.approvers]
+    places = approval_files or [path for path in beside if is_there(path)]
+    approvals = [first, *map(read_approval, places)]
+    keystore = _settings.open_keystore(to_change=not check)
+    desired = read_domain(file.parent / proposal.domain_file)
+    approved = approved_plan(proposal, approvals, desired, keystore, now=_settings.now())
+    return _Wanted(desired, keystore, approved.plan, approved)
 
 
 def _made(

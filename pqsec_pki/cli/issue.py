@@ -9,6 +9,7 @@ import click
 
 from pqsec_pki import enrolment
 from pqsec_pki.algorithms import SealingPublicKey
+from pqsec_pki.approvals import Covered
 from pqsec_pki.cli import (
     _bundles,
     _completion,
@@ -114,6 +115,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _refuse_without_requests(patterns, folder, seal_for)
         names = names or _policy_names(wanted)
     keystore = _settings.open_keystore(to_change=True)
+    keystore.refuse_unapproved(Covered.GROW)
     keys = _requested(keystore, requests, names, patterns) if requests else {}
     names = tuple(keys) or _matching(keystore, wanted, names)
     _refuse_one_key(names, requests)

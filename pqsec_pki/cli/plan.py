@@ -1,18 +1,32 @@
 """pqsec plan: show the changes that `pqsec apply` would make."""
 
 from collections.abc import Iterator
+from datetime import timedelta
 from itertools import groupby
 from pathlib import Path
 
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.domain import Desired, Plan, StepAction, new_domain, read_domain
+from pqsec_pki.algorithms import PrivateKey
+from pqsec_pki.approvals import MAX_PROPOSAL, approve, proposal_file
+from pqsec_pki.cli import _approver, _help, _printing, _settings
+from pqsec_pki.domain import (
+    Desired,
+    Plan,
+    PlanReview,
+    StepAction,
+    new_domain,
+    propose,
+    read_domain,
+)
 from pqsec_pki.domain import plan as plan_steps
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import Keystore
 
 DEFAULT_FILE = Path("domain.yaml")
+PROPOSAL_SUFFIX = ".json"
+"""Tells proposals from domain files."""
 
 file_argument = click.argument("file", type=_settings.FILE, default=DEFAULT_FILE, metavar="[FILE]")
 prune_option = click.option(
@@ -29,10 +43,13 @@ new_keys_option = click.option(
     examples={
         "Write a new file to edit": "pqsec plan --init fleet.yaml",
         "Show the changes": "pqsec plan domain.yaml",
+        "Propose them to those who must approve": (
+            "pqsec plan domain.yaml -o plan.json --key alice.pem"
+        ),
     },
     exit_codes={
         0: "the keystore matches the file",
-        1: "there are changes to make, or FILE is not valid",
+        1: "there are changes to make, or FILE is not valid, or the key is not an approver's",
         3: "FILE or the keystore cannot be read",
     },
 )
@@ -40,13 +57,47 @@ new_keys_option = click.option(
 @click.option("--init", is_flag=True, help="Write a new, commented FILE to edit.")
 @prune_option
 @new_keys_option
+@click.option(
+    "-o",
+    "--output",
+    type=_settings.FILE,
+    metavar="PLAN.json",
+    help="Write the changes to this file, for `pqsec approve` and `pqsec apply`.",
+)
+@click.option(
+    "--key",
+    metavar="FILE|URI",
+    help="With -o: sign it with this private key, which must be an approver's.",
+)
+@click.option(
+    "--validity",
+    type=_settings.Duration(),
+    default="7d",
+    show_default=True,
+    help="With -o: it can be approved and applied this long.",
+)
+@click.option("--force", is_flag=True, help="With -o: replace the file.")
+@_approver.passphrase_option
 @_settings.command_options
-def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
+def plan(  # noqa: PLR0913 -- one for each option, by name
+    file: Path,
+    output: Path | None,
+    key: str | None,
+    validity: timedelta,
+    key_passphrase_file: Path | None,
+    *,
+    init: bool,
+    prune: bool,
+    new_keys: bool,
+    force: bool,
+) -> None:
     """Show the changes that `pqsec apply` would make.
 
     FILE describes a whole domain: its governance, participants and their rights. It is
-    domain.yaml if not named.
+    domain.yaml if not named. Where changes need approvals, -o writes a proposal of exactly these
+    changes, which counts as an approval by its maker.
     """
+    _refuse_options(output, key, init=init, force=force)
     if init:
         _files.write(file, new_domain("Robots"))
         _printing.emit({"written": file}, [f"{file}: edit it, then run `pqsec plan`"])
@@ -54,14 +105,70 @@ def plan(file: Path, *, init: bool, prune: bool, new_keys: bool) -> None:
     desired = read_domain(file)
     keystore, now = Keystore.find(_settings.keystore_path()), _settings.now()
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
-    show(found, desired)
-    if not found.in_order:
+    review = PlanReview(desired, keystore, found, now) if keystore else None
+    if output and key:
+        if review is None:
+            raise KeystoreError("there is no keystore yet", hint="`pqsec apply` creates it")
+        _refuse_nothing(found)
+        signer = _approver.key_at(key, key_passphrase_file)
+        _write(review, output, signer, validity, prune=prune, new_keys=new_keys, force=force)
+    show(found, desired, written=output)
+    if review:
+        _note_approvals(review)
+    if not found.in_order and not output:
         click.get_current_context().exit(1)
 
 
-def show(found: Plan, desired: Desired) -> None:
+def _refuse_options(output: Path | None, key: str | None, *, init: bool, force: bool) -> None:
+    if (output is None) is not (key is None) or (init and output):
+        raise UsageError(
+            "-o and --key belong together, without --init",
+            hint="-o plan.json --key KEY writes a proposal that this key signs",
+        )
+    if output and output.suffix != PROPOSAL_SUFFIX:
+        raise UsageError(
+            f"{output} must end in {PROPOSAL_SUFFIX}", hint="`pqsec apply` knows plans by that"
+        )
+    if output and not force:
+        _files.refuse_existing(output)
+
+
+def _refuse_nothing(found: Plan) -> None:
+    if not found.steps:
+        raise KeystoreError("there is nothing to change", hint="`pqsec plan` shows what is blocked")
+
+
+def _write(
+    review: PlanReview,
+    output: Path,
+    signer: PrivateKey,
+    validity: timedelta,
+    *,
+    force: bool,
+    **choices: bool,
+) -> None:
+    """Write the proposal with the approval of the holder of `signer`."""
+    policy = review.keystore.approvals
+    name = _approver.name_in(policy, signer) if policy else ""
+    folder = output.absolute().parent
+    proposal = propose(review, proposer=name, validity=validity, beside=folder, **choices)
+    first = approve(proposal.digest, name, signer, now=review.now)
+    data = proposal_file(proposal, first)
+    if len(data) > MAX_PROPOSAL:
+        raise UsageError("the plan is too large", hint="plan in steps: fewer participants at once")
+    _files.write(output, data, force=force)
+
+
+def _note_approvals(review: PlanReview) -> None:
+    policy = review.keystore.approvals
+    if words := policy.demand(review.kinds) if policy else "":
+        _printing.note(words)
+
+
+def show(found: Plan, desired: Desired, *, written: Path | None = None) -> None:
     """Print the plan, and notes on what it does not change."""
-    _printing.emit(found.to_json(), lines(found))
+    place = {"written": written} if written else {}
+    _printing.emit({**found.to_json(), **place}, lines(found))
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
         _printing.note(f"the governance does not name domain {where}: no participant can join it")

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
@@ -77,6 +78,7 @@ def revoke(
     one, still accepts the revoked certificates.
     """
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
+    keystore.refuse_unapproved(Covered.REVOKE)
     first = not keystore.has_revocation_list
     chosen = named(keystore, subjects)
     if not yes:

@@ -7,6 +7,7 @@ from typing import Any
 import click
 
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
+from pqsec_pki.approvals import Covered
 from pqsec_pki.cli import _help, _key_uris, _overlap, _passphrases, _printing, _rollover, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.errors import KeystoreError, UsageError
@@ -101,6 +102,8 @@ def rotate(
     if plan and do:
         raise UsageError("--plan and --apply exclude each other")
     keystore = _settings.open_keystore(to_change=do)
+    if do:
+        keystore.refuse_unapproved(Covered.ROTATE)
     terms = _terms(keystore, **asked)
     if terms.overlap:
         _overlap.refuse_options(terms.overlap)

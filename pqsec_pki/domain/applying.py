@@ -14,6 +14,7 @@ from pqsec_pki.certificates import Reason
 from pqsec_pki.domain._profile_change import change_profile
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.planning import plan as make_plan
+from pqsec_pki.domain.proposing import refuse_unapproved
 from pqsec_pki.domain.requests import spec_of
 from pqsec_pki.domain.steps import Plan, Step, StepAction
 from pqsec_pki.errors import (
@@ -33,6 +34,7 @@ from pqsec_pki.lifecycle import (
     revoke,
     sign_governance,
     sign_permissions,
+    store_approvals,
     store_groups,
 )
 
@@ -69,6 +71,8 @@ def apply(  # noqa: PLR0913 -- the choices are the user's, and by name
     found = make_plan(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     if not found.steps:
         return found
+    if keystore:
+        refuse_unapproved(desired, keystore, found, now=now)
     if keystore and found.changes_profile:
         change_profile(desired, keystore, found, passphrase=passphrase, now=now)
         return found
@@ -240,6 +244,8 @@ class _Worker:
                 revoke(*at, names, reason=Reason.CESSATION_OF_OPERATION, now=self._now)
             case StepAction.RENEW_CRL:
                 renew_list(*at, now=self._now)
+            case StepAction.STORE_APPROVALS:
+                store_approvals(self._keystore, self._desired.approvals, now=self._now)
 
     def _renew(self, names: list[str]) -> None:
         validity = self._desired.members[names[0]].validity

@@ -9,6 +9,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki.approvals import ApprovalPolicy
 from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, PermissionRule
 from pqsec_pki.documents.parts_yaml import (
     ALLOWED,
@@ -125,6 +126,10 @@ class Desired:
     """The stacks of the robots, such as `cyclonedds` or `fastdds-3.1`, for `migrate plan`."""
     migrate_from: str | None
     """The profile of a keystore that `apply` changes to `profile`; None for no such change."""
+    approvals: ApprovalPolicy | None
+    """Whose approvals changes need; None if they need none."""
+    sha256: str
+    """Of the domain file itself."""
 
     @cached_property
     def governance_digest(self) -> str:

@@ -68,6 +68,7 @@ def _from_nothing(desired: Desired) -> Plan:
         Step(StepAction.SIGN_GOVERNANCE, "", "there is no keystore"),
         *([Step(StepAction.STORE_GROUPS, "", _counted(desired))] if desired.groups else []),
         *(each for each in found if isinstance(each, Step)),
+        *([_approvals_step(desired)] if desired.approvals else []),
     ]
     return Plan(tuple(steps), tuple(each for each in found if isinstance(each, Blocked)), (), 0)
 
@@ -91,6 +92,10 @@ def _refuse_another_name(desired: Desired, keystore: Keystore) -> None:
             f" {subject}",
             hint="name the right keystore with -k, or remove `name` from the file",
         )
+
+
+def _approvals_step(desired: Desired) -> Step:
+    return Step(StepAction.STORE_APPROVALS, "", str(desired.approvals or "none are needed"))
 
 
 def _counted(desired: Desired) -> str:
@@ -131,6 +136,8 @@ class _Planner:
             else:
                 steps += [Step(StepAction.REVOKE, name, "not in the file") for name in others]
         steps += self._list_steps(steps)
+        if self.keystore.approvals != self.desired.approvals:
+            steps.append(_approvals_step(self.desired))
         steps.sort(key=lambda step: _PLACE[step.action])
         unlisted = () if self.prune else others
         return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, self.actual.head)

@@ -12,6 +12,7 @@
 Every error names the file and the line.
 """
 
+import hashlib
 from collections.abc import Mapping
 from datetime import timedelta
 from functools import partial
@@ -50,6 +51,7 @@ from pqsec_pki.documents.parts_yaml import (
     table,
     text,
 )
+from pqsec_pki.domain._approvals import approvals_in
 from pqsec_pki.domain._groups import groups_in, members_of_groups
 from pqsec_pki.domain._members import members_of
 from pqsec_pki.domain._roles import entry_in, roles_in
@@ -77,13 +79,17 @@ def desired_in(data: bytes, path: Path) -> Desired:
     governance = settings["governance"]
     if isinstance(governance, _GovernanceFile):
         governance = governance.read(path.parent)
+    approvals = settings["approvals"]
     with located(path):
+        policy = approvals.read(path.parent) if approvals else None
         members = members_of(path, settings["participants"], settings)
         return Desired(
             path=path,
             governance=governance,
             members=members,
             groups=members_of_groups(settings["groups"], members),
+            approvals=policy,
+            sha256=hashlib.sha256(data).hexdigest(),
             **{key: settings[key] for key in _KEPT},
         )
 
@@ -116,6 +122,7 @@ def _domain(item: Item) -> dict[str, Any]:
         "roles": roles_in,
         "participants": partial(each, reader=partial(entry_in, roles)),
         "groups": groups_in,
+        "approvals": approvals_in,
         "prune": boolean,
         "stacks": partial(one_or_more, reader=_stack),
         "migrate_from": partial(chosen, names=[profile.name for profile in PROFILES]),
@@ -135,6 +142,7 @@ _DEFAULTS: Mapping[str, Any] = {
     "renew_before": None,
     "participants": (),
     "groups": {},
+    "approvals": None,
     "prune": False,
     "stacks": (),
     "migrate_from": None,

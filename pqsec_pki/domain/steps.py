@@ -19,6 +19,8 @@ class StepAction(StrEnum):
     RENEW = "renew"
     REVOKE = "revoke"
     RENEW_CRL = "renew-crl"
+    STORE_APPROVALS = "store-approvals"
+    """The last step: until then, the approvals of before are demanded."""
 
     @property
     def words(self) -> str:
@@ -37,6 +39,7 @@ _WORDS = {
     StepAction.RENEW: "renew",
     StepAction.REVOKE: "revoke",
     StepAction.RENEW_CRL: "renew the revocation list",
+    StepAction.STORE_APPROVALS: "change the approvals",
 }
 
 

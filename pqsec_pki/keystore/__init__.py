@@ -11,6 +11,7 @@ Its content:
     keystore      opens and creates the folder
     patterns      participants given as patterns and groups
     groups        the groups that `apply` stored
+    approving     whose approvals are demanded, and who approved: lines of the ledger
 The ledger:
     _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
@@ -48,6 +49,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
+    from pqsec_pki.keystore.approving import approval_entries, lines_since, policy_entry
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
         Authorities,
@@ -128,6 +130,7 @@ __all__ = [
     "State",
     "Status",
     "Transaction",
+    "approval_entries",
     "audit",
     "bundle_number",
     "ca_key_files",
@@ -144,6 +147,7 @@ __all__ = [
     "key_algorithms",
     "key_hashes",
     "layout",
+    "lines_since",
     "list_entry",
     "list_status",
     "load_ca_key",
@@ -153,6 +157,7 @@ __all__ = [
     "load_revocation_list",
     "matching",
     "participant_states",
+    "policy_entry",
     "refuse_overlap",
     "regular_name",
     "robot_states",

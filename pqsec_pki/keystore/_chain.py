@@ -27,8 +27,8 @@ class Entry:
     at: str
     """ISO 8601, UTC."""
     kind: str
-    """identity-ca, permissions-ca, participant, governance, permissions, revocation, crl or
-    trust."""
+    """identity-ca, permissions-ca, participant, governance, permissions, revocation, crl, trust,
+    approvals, plan or approval."""
     name: str
     serial: str | None
     """A certificate's serial number in hex; None for documents."""

@@ -6,7 +6,7 @@ from dataclasses import field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from shlex import quote
-from typing import Self
+from typing import TYPE_CHECKING, Self
 
 from pqsec_pki import credentials
 from pqsec_pki._dataclass import dataclass
@@ -39,6 +39,9 @@ from pqsec_pki.keystore.participant import (
 from pqsec_pki.keystore.patterns import GROUP, expanded, is_several
 from pqsec_pki.tokens import Pin, is_reference, uri_in
 
+if TYPE_CHECKING:
+    from pqsec_pki.approvals import ApprovalPolicy, Covered
+
 
 @dataclass(frozen=True, slots=True)
 class Keystore:
@@ -50,6 +53,8 @@ class Keystore:
     """Domains of participants that are not issued for other domains."""
     to_change: bool = field(default=False, compare=False, repr=False)
     """Whether it was opened for changes; otherwise nothing is written in it."""
+    approved: bool = field(default=False, compare=False, repr=False)
+    """Whether what is done with this value was approved by the people that the policy wants."""
 
     @classmethod
     def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
@@ -261,6 +266,26 @@ class Keystore:
         Errors as of `read_groups`.
         """
         return read_groups(self.root)
+
+    @property
+    def approvals(self) -> "ApprovalPolicy | None":
+        """Whose approvals changes need, by the ledger; None if they need none.
+
+        KeystoreError if the line is damaged.
+        """
+        with self.open_ledger() as ledger:
+            newest = ledger.newest("approvals")
+        if not newest:
+            return None
+        from pqsec_pki.keystore.approving import policy_in  # noqa: PLC0415 -- few have some
+
+        return policy_in(newest[0])
+
+    def refuse_unapproved(self, *kinds: "Covered") -> None:
+        """KeystoreError if changes of these kinds need approvals, and were not approved."""
+        policy = None if self.approved else self.approvals
+        if policy:
+            policy.refuse(kinds)
 
     def named(self, names: Iterable[str], known: Sequence[str] | None = None) -> list[str]:
         """The names, each once; for a pattern or a group those of `known` that it stands for.

@@ -8,12 +8,13 @@ Participants and documents:
     renewing      renews participants; `_inspector` finds the newest files of each
     signing       signs governance and permissions again
     permitting    changes single rights of participants
+    growing       whether documents to be signed give more than those that are signed
     revoking      revokes certificates and issues revocation lists
 CAs:
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
-    grouping      stores the groups of a domain file
+    grouping      stores the groups of a domain file, and whose approvals are needed
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 """
 
@@ -24,7 +25,8 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
     from pqsec_pki.lifecycle.adopting import Adoptable, Adopted, adopt, adoptable
-    from pqsec_pki.lifecycle.grouping import store_groups
+    from pqsec_pki.lifecycle.grouping import store_approvals, store_groups
+    from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, grows
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
     from pqsec_pki.lifecycle.passphrase import change_passphrase
     from pqsec_pki.lifecycle.permitting import (
@@ -69,6 +71,9 @@ __all__ = [
     "apply_rollover",
     "change_passphrase",
     "changed_permissions",
+    "changed_protection",
+    "changed_rights",
+    "grows",
     "issue",
     "plan_rollover",
     "refuse_keys_in_files",
@@ -80,5 +85,6 @@ __all__ = [
     "sign_document",
     "sign_governance",
     "sign_permissions",
+    "store_approvals",
     "store_groups",
 ]

@@ -1,8 +1,10 @@
-"""Stores the groups of a domain file in the keystore, for all commands that name participants."""
+"""Stores what a domain file says beside its participants: groups, and demanded approvals."""
 
 from collections.abc import Mapping
+from datetime import datetime
 
-from pqsec_pki.keystore import Keystore, change, groups_file, layout
+from pqsec_pki.approvals import ApprovalPolicy, Covered
+from pqsec_pki.keystore import Keystore, change, groups_file, layout, policy_entry
 
 
 def store_groups(keystore: Keystore, groups: Mapping[str, tuple[str, ...]]) -> None:
@@ -11,4 +13,15 @@ def store_groups(keystore: Keystore, groups: Mapping[str, tuple[str, ...]]) -> N
     KeystoreError as of `change`.
     """
     with change(keystore.root) as transaction:
+        keystore.refuse_unapproved(Covered.OTHER)
         transaction.folder(".", private=False).public(layout.GROUPS, groups_file(groups))
+
+
+def store_approvals(keystore: Keystore, policy: ApprovalPolicy | None, *, now: datetime) -> None:
+    """Demand approvals from now on as `policy` says, or none.
+
+    KeystoreError if the policy until now demands approvals for that.
+    """
+    with change(keystore.root) as transaction:
+        keystore.refuse_unapproved(Covered.APPROVALS)
+        transaction.record(policy_entry(policy, keystore.head, now))

@@ -8,6 +8,7 @@ from functools import partial
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import PrivateKey, PublicKey
+from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, UsageError, VerificationError
@@ -84,6 +85,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     specs = _checked(keystore, specs, force=force)
     issuer = Issuer(keystore, authorities, now)
     with change(keystore.root) as transaction:
+        keystore.refuse_unapproved(Covered.GROW)
         authorities.refuse_outdated(keystore.root)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
         if not after_revocation:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
+from pqsec_pki.access import permissions_diff
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import KeystoreError, located
@@ -24,6 +25,7 @@ from pqsec_pki.keystore import (
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
+from pqsec_pki.lifecycle.growing import refuse_growth
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,6 +75,7 @@ def sign_changed(
     """
     names = [each.name for each in changes]
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        refuse_growth(keystore, lambda: (permissions_diff(each.old, each.new) for each in changes))
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)

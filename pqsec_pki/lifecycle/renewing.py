@@ -13,6 +13,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
+from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import BACKDATE, Certificate, end_of
 from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
@@ -55,6 +56,7 @@ def renew(
     regular = list(dict.fromkeys(map(layout.enclave_name, names)))
     issuer = Issuer(keystore, authorities, now)
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        keystore.refuse_unapproved(Covered.OTHER)
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, regular, now=now)
         inspector.refuse_revoked(regular)

@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import (
     Authority,
     Reason,
@@ -80,6 +81,7 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     is not in the ledger or has expired.
     """
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        keystore.refuse_unapproved(Covered.REVOKE)
         authorities.refuse_outdated(keystore.root)
         chosen = _chosen(ledger, subjects, now)
         before = _revoked_since(ledger)
@@ -111,6 +113,7 @@ def renew_list(
 ) -> RevocationList:
     """Issue a new list with the same revocations and a later nextUpdate."""
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        keystore.refuse_unapproved(Covered.OTHER)
         authorities.refuse_outdated(keystore.root)
         publisher = Publisher(keystore, authorities.identity, ledger, now)
         return publisher.publish(transaction, [], validity)

@@ -13,6 +13,7 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki._processes import shared_out
+from pqsec_pki.approvals import Covered
 from pqsec_pki.errors import KeystoreError, UsageError, located
 from pqsec_pki.keystore import (
     Authorities,
@@ -110,6 +111,7 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
     if plan.terms.needs_old_cas and kept is None:
         raise UsageError("the key of the CA that stays is needed")
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        keystore.refuse_unapproved(Covered.ROTATE)
         if kept:
             kept.refuse_outdated(keystore.root)
         if ledger.head != plan.head:

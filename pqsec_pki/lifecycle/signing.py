@@ -12,6 +12,7 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
+from pqsec_pki.approvals import Covered
 from pqsec_pki.documents import Governance, Kind
 from pqsec_pki.keystore import (
     Authorities,
@@ -24,6 +25,7 @@ from pqsec_pki.keystore import (
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
+from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, refuse_growth
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
 
 
@@ -38,6 +40,7 @@ def sign_permissions(
     """
     names = [layout.enclave_name(spec.name) for spec in specs]
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        refuse_growth(keystore, lambda: changed_rights(keystore, specs, now=now).values())
         authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
@@ -61,6 +64,7 @@ def sign_governance(
     document = governance.to_xml()
     signed = authorities.sign(document, now=now)
     with change(keystore.root) as transaction:
+        refuse_growth(keystore, lambda: [changed_protection(keystore, governance)])
         authorities.refuse_outdated(keystore.root)
         enclaves = transaction.folder(layout.ENCLAVES, private=False)
         enclaves.public(layout.GOVERNANCE_XML, document)
@@ -89,6 +93,7 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     """
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with change(keystore.root) as transaction:
+        keystore.refuse_unapproved(Covered.GROW)
         authorities.refuse_outdated(keystore.root)
         transaction.record(document_entry(kind.value, str(goal), signed, now))
         place = layout.document_folder(keystore.root, kind.value, goal)

@@ -89,4 +89,5 @@ def _content(desired: Desired) -> tuple[object, ...]:
         for name, each in desired.members.items()
     }
     own = (desired.name, desired.domains, desired.ca_validity, desired.renew_before)
-    return (*own, desired.governance, desired.groups, desired.prune, members)
+    shared = (desired.governance, desired.groups, desired.approvals, desired.prune)
+    return (*own, *shared, members)

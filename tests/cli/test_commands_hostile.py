@@ -16,14 +16,23 @@ import pytest
 from pqsec_pki.cli import pqsec as tree
 from tests.cli.conftest import copy, snapshot
 from tests.longer import some
+from tests.unit.approving import Council
 
 ENDLESS = {"agent run": "it serves until it is told to stop"}
-VALUES = {"names": "/talker", "name": "/talker", "subjects": "/talker", "text": "141"}
+VALUES = {
+    "plan": "plan.json",
+    "names": "/talker",
+    "name": "/talker",
+    "subjects": "/talker",
+    "text": "141",
+}
 """What stands for an argument that is no file; files are there, and seldom the right kind."""
 STACKS = {"export": "cyclonedds", "try": "ros2"}
 COMPANY = {
     "apply": "--yes --no-passphrase",
     "apply --passphrase-file": "--yes",
+    "approve": "--yes --key bob.pem",
+    "approve --key": "--yes",
     "bench": "--profile classical --rounds 1 --warm-up 0",
     "bundle": "--plain-key",
     "bundle --robot": "--plain-key --force",
@@ -42,6 +51,8 @@ COMPANY = {
     "explain --permissions-ca": "--governance k/enclaves/governance.p7s --publish t"
     " --permissions k/enclaves/talker/permissions.p7s",
     "issue": "--publish t --force",
+    "plan --key": "-o out.json",
+    "plan --output": "--key alice.pem",
     "issue --bundles": "--publish t --csr asks.csr",
     "issue --csr": "--publish t",
     "issue --policy": "--force",
@@ -212,6 +223,9 @@ def template(domains, run_in, tmp_path_factory) -> Path:
     run_in(folder, "request /fleet/robot --profile classical --dir r").done()
     shutil.copy(folder / "r/requests/fleet+robot/request.csr", folder / "asks.csr")
     run_in(folder, "plan --init").done()
+    Council(folder / "council").written(folder / "plan.json")
+    for name in ("alice.pem", "bob.pem"):
+        shutil.copy(folder / "council" / name, folder)
     (folder / "empty").mkdir(mode=0o700)
     return folder
 

@@ -15,6 +15,7 @@ import pytest
 from pqsec_pki.cli import pqsec as root
 from pqsec_pki.cli._help import Command
 from tests.cli.conftest import clean_environment, command_of, secret
+from tests.unit.approving import make_key
 from tests.unit.sros2_keystore import SROS2
 
 KEYSTORE = {"PQSEC_KEYSTORE": "robots"}
@@ -47,6 +48,9 @@ FILES = {
     "talker.yaml": POLICY.format(name="/talker"),
     "permissions.yaml": POLICY.format(name="/fleet/robot9"),
     "bad.yaml": "grants: 5\n",
+    "decided.yaml": (
+        "name: Robots\napprovals: {required: 2, of: {alice: alice.pub.pem, bob: bob.pub.pem}}\n"
+    ),
     "bad.xml": "<dds><permissions/></dds>",
     "robot.policy.xml": (
         '<policy version="0.2.0"><enclaves><enclave path="/a"><profiles><profile ns="/" node="a">'
@@ -72,6 +76,8 @@ def made(run_in, tmp_path_factory) -> Path:
     (folder / "robot").mkdir()
     for name, text in FILES.items():
         (folder / name).write_text(text)
+    for name in ("alice", "bob", "carol"):
+        make_key(folder, name)
     for name in ("passphrase", "new-passphrase"):
         secret(folder / name, f"the {name} of the robots\n")
     run("ca init --name Robots --passphrase-file passphrase")
@@ -95,6 +101,8 @@ def made(run_in, tmp_path_factory) -> Path:
     forged = (folder / "permissions.p7s").read_bytes().replace(b"rt/chatter", b"rt/secrets")
     (folder / "forged.p7s").write_bytes(forged)
     run("plan --init domain.yaml")
+    run("-k decided apply decided.yaml --yes --no-passphrase")
+    run("-k decided plan domain.yaml -o plan.json --key alice.pem")
     SROS2(folder / "sros2-keystore").enclave("/talker")
     return folder
 
@@ -193,6 +201,7 @@ ELSEWHERE = {
 """Commands whose examples do not run here, and why."""
 INSTALL = "install robot1.bundle --trust-first"
 EXPORT = "sign-request export robot2.csr -o fleet.request --subscribe x"
+DECIDED = ("apply decided.yaml --yes",)
 FIRST = {
     "rollback": (
         *(INSTALL, "renew /fleet/robot1", "bundle /fleet/robot1 -o new.bundle"),
@@ -204,8 +213,14 @@ FIRST = {
     "sign-request import": (EXPORT, "sign-request sign fleet.request -o fleet.answer"),
     "sign-request sign": (EXPORT,),
     "ca crl": ("ca crl",),
+    "pqsec plan domain.yaml -o plan.json --key alice.pem": DECIDED,
+    "pqsec apply plan.json --yes": (
+        *DECIDED,
+        "plan domain.yaml -o plan.json --key alice.pem",
+        "approve plan.json --key bob.pem --yes",
+    ),
 }
-"""What is done before each example of a command."""
+"""What is done before each example of a command, or before that example."""
 MAY_BE_NO = {"needs-renewal", "diff", "apply", "plan", "permissions learn"}
 """The answer to their examples may be no."""
 
@@ -234,7 +249,9 @@ def test_the_examples_of_a_command_work(run_in, made, tmp_path, path):
     faults = []
     for number, line in enumerate(ALL[path].examples.values()):
         folder = shutil.copytree(made, tmp_path / str(number), symlinks=True)
-        for before in FIRST.get(path, ()):
+        if line in FIRST:
+            (folder / "plan.json").unlink()
+        for before in FIRST.get(line, FIRST.get(path, ())):
             run_in(folder, before, **KEYSTORE).done()
         code, err = run_example(run_in, folder, line)
         if code > (path in MAY_BE_NO) or "error:" in err:
@@ -247,6 +264,7 @@ def test_the_examples_of_a_command_work(run_in, made, tmp_path, path):
 NO = {
     "agent status": "",
     "apply": "domain.yaml --check",
+    "approve": "plan.json --key carol.pem --yes",
     "bundle": "/forged --no-keys",
     "ca rotate": "--plan -k robots.old",
     "check": "bad.xml",

@@ -267,6 +267,12 @@ SHAPE_FAULTS = [
     (f"{HEAD}- {{name: /a, role: r, publish: x}}", "line 3: participants: it has a role: put"),
     (f"{HEAD}- {{name: /a, role: r, values: {{base: x}}}}", "line 3: values: $base is a reserved"),
     ("groups: [a]", "line 1: groups: expected `key: value` here"),
+    ("approvals: [a]", "line 1: approvals: expected `key: value` here"),
+    ("approvals: {required: 2}", "line 1: approvals: "),
+    ("approvals: {required: two, of: {a: a.pem}}", "'two' is not a number"),
+    ("approvals: {required: 1, of: [a.pem]}", "line 1: of: expected `key: value` here"),
+    ("approvals: {required: 1, of: {a: [b]}}", "line 1: "),
+    ("approvals: {required: 1, of: {a: a.pem}, for: sing}", "'sing' is not allowed"),
     ("groups:\n  a: []", "line 2: a: the group is empty"),
     ("groups:\n  '@a': /a", "line 2: groups: '@a' cannot be a group's name: write it without @"),
     ("groups:\n  a: {name: /a}", "line 2: a: expected a text here"),
@@ -416,7 +422,7 @@ def test_the_json_schema_has_the_parts_of_those_of_governance_and_permissions():
     assert json.loads(text) == {
         k: v for k, v in schema_of("governance").schema.items() if k not in head
     }
-    for own in ("role", "participants", "duration", "stack"):
+    for own in ("role", "participants", "duration", "stack", "covered"):
         parts.pop(own)
     without_blanks = json.dumps(parts).replace("A-Za-z_$]", "A-Za-z_]")
     without_blanks = without_blanks.replace("A-Za-z0-9_$]", "A-Za-z0-9_]")

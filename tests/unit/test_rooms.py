@@ -45,15 +45,19 @@ MAY_IMPORT: dict[str, set[str]] = {
     "access": {"documents"},
     "handshake": {"algorithms", "certificates", "smime"},
     "credentials": {"algorithms", "certificates", "smime", "documents", "access", "tokens"},
-    "keystore": {"algorithms", "certificates", "smime", "documents", "credentials", "tokens"},
+    "approvals": {"algorithms"},
+    "keystore": {
+        *("algorithms", "certificates", "smime", "documents", "credentials", "tokens"),
+        "approvals",
+    },
     "lifecycle": {
         *("algorithms", "certificates", "smime", "documents", "credentials", "keystore"),
-        "tokens",
+        *("tokens", "access", "approvals"),
     },
     "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
     "domain": {
         *("enrolment", "lifecycle", "keystore", "documents", "access", "certificates"),
-        *("algorithms", "policy", "credentials"),
+        *("algorithms", "policy", "credentials", "approvals"),
     },
     "inspection": {"documents", "smime", "certificates", "algorithms", "tokens"},
     "plugin": {

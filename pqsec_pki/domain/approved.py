@@ -1,0 +1,146 @@
+"""Applies a plan that was approved: exactly its steps, each once, from the state it was made for.
+
+The ledger gets a line for the plan and one for each approval before the first change. If the work
+is interrupted, the same file goes on: the lines since then tell which steps are done.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from datetime import datetime
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.approvals import Approval, Covered, PlanProposal, ProposedStep, refuse_without
+from pqsec_pki.domain.desired import Desired
+from pqsec_pki.domain.planning import plan as make_plan
+from pqsec_pki.domain.proposing import PlanReview
+from pqsec_pki.domain.steps import Plan, StepAction
+from pqsec_pki.errors import KeystoreError, VerificationError
+from pqsec_pki.keystore import Keystore, Line, approval_entries, change, lines_since
+from pqsec_pki.problems import Code
+
+_LINES = {
+    StepAction.CHANGE_PROFILE: "identity-ca",
+    StepAction.SIGN_GOVERNANCE: "governance",
+    StepAction.ISSUE: "participant",
+    StepAction.REPLACE: "participant",
+    StepAction.RENEW: "participant",
+    StepAction.SIGN_PERMISSIONS: "permissions",
+    StepAction.REVOKE: "revocation",
+    StepAction.RENEW_CRL: "crl",
+    StepAction.STORE_APPROVALS: "approvals",
+}
+"""The kind of line that each step leaves in the ledger; groups leave none."""
+_WORDS = {str(action): kind for action, kind in _LINES.items()}
+_AGAIN = "make a new plan, and let it be approved"
+
+
+@dataclass(frozen=True, slots=True)
+class ApprovedPlan:
+    """A plan with enough approvals, for the state in which the keystore is."""
+
+    proposal: PlanProposal
+    approvals: tuple[Approval, ...]
+    keystore: Keystore
+    plan: Plan
+    """The steps that are left."""
+    begun: bool
+
+    def begin(self, now: datetime) -> "ApprovedPlan":
+        """Enter plan and approvals in the ledger, unless they are there.
+
+        The plan returned may be executed. VerificationError if the keystore has changed.
+        """
+        keystore = self.keystore
+        approved = replace(self, keystore=replace(keystore, approved=True), begun=True)
+        if self.begun:
+            return approved
+        with keystore.hold():
+            _refuse_other_state(self.proposal, keystore.head)
+            with change(keystore.root) as transaction:
+                transaction.record(*approval_entries(self.proposal, self.approvals, now))
+            return replace(approved, plan=replace(self.plan, head=keystore.head))
+
+
+def approved_plan(
+    proposal: PlanProposal,
+    approvals: Sequence[Approval],
+    desired: Desired,
+    keystore: Keystore,
+    *,
+    now: datetime,
+) -> ApprovedPlan:
+    """The plan, if these approvals are enough for it, and it fits the keystore and the file.
+
+    VerificationError if not; KeystoreError if the keystore demands no approvals.
+    """
+    _refuse_unapproved(proposal, approvals, keystore)
+    proposal.refuse_expired(now)
+    if desired.sha256 != proposal.domain_sha256:
+        raise _changed(f"{desired.path} is not the file that the plan was made of")
+    since = lines_since(keystore.lines(), proposal)
+    if since is None:
+        _refuse_other_state(proposal, keystore.head)
+    left = proposal.steps if since is None else tuple(_left(proposal, since))
+    if since is not None and not any(step.action in _WORDS for step in left):
+        raise VerificationError("the plan was applied already", hint="`pqsec log` shows it")
+    review = _reviewed(proposal, left, desired, keystore, now)
+    if since is None and (review.rights, _needs(review)) != (proposal.rights, proposal.needs):
+        raise _changed("the rights that change are not those in the plan")
+    return ApprovedPlan(proposal, tuple(approvals), keystore, review.plan, since is not None)
+
+
+def _refuse_unapproved(
+    proposal: PlanProposal, approvals: Sequence[Approval], keystore: Keystore
+) -> None:
+    policy = keystore.approvals
+    if policy is None:
+        raise KeystoreError(
+            f"{keystore.root} demands no approvals", hint="`pqsec apply` takes the domain file"
+        )
+    if policy != proposal.policy:
+        raise _changed(f"the plan was made for other approvals than the keystore's: {policy}")
+    required = policy.required if proposal.needs else 1
+    refuse_without(proposal.digest, policy, approvals, required=required)
+
+
+def _refuse_other_state(proposal: PlanProposal, head: str) -> None:
+    if head != proposal.head:
+        raise _changed("the keystore was changed since the plan was made")
+
+
+def _left(proposal: PlanProposal, since: Sequence[Line]) -> Iterator[ProposedStep]:
+    """The steps of which the ledger has no line yet: each is made once."""
+    done = {(line.entry.kind, line.entry.name) for line in since}
+    done |= {(kind, "") for kind, _ in done if kind == _LINES[StepAction.CHANGE_PROFILE]}
+    for step in proposal.steps:
+        if (_WORDS.get(step.action), step.name) not in done:
+            yield step
+
+
+def _reviewed(
+    proposal: PlanProposal,
+    left: Sequence[ProposedStep],
+    desired: Desired,
+    keystore: Keystore,
+    now: datetime,
+) -> PlanReview:
+    """What these steps would change now. VerificationError unless it is the same as planned."""
+    found = make_plan(desired, keystore, now=now, prune=proposal.prune, new_keys=proposal.new_keys)
+    wanted = {(step.action, step.name) for step in left}
+    steps = tuple(step for step in found.steps if (step.action, step.name) in wanted)
+    review = PlanReview(desired, keystore, replace(found, steps=steps), now)
+    if lost := set(left).symmetric_difference(review.steps):
+        first = min(lost, key=lambda step: (step.action, step.name))
+        what = f"{first.action} {first.name}".rstrip()
+        raise _changed(f"files were changed since the plan was made: '{what}' is another step now")
+    return review
+
+
+def _needs(review: PlanReview) -> tuple[Covered, ...]:
+    """The kinds of changes that need approvals."""
+    policy = review.keystore.approvals
+    return policy.needs(review.kinds) if policy else ()
+
+
+def _changed(words: str) -> VerificationError:
+    return VerificationError(words, code=Code.CONTENT_CHANGED, hint=_AGAIN)

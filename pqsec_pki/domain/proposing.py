@@ -1,0 +1,170 @@
+"""What of a plan needs approvals, and all that an approval is of.
+
+A step has the hash of what it makes or ends, so that an approval is of these rights and this
+certificate, and not only of words. The rights that change are beside them, for people to read.
+"""
+
+import hashlib
+from collections.abc import Iterator, Mapping
+from datetime import datetime, timedelta
+from functools import cached_property
+from os.path import relpath
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.access import Difference, permissions_diff
+from pqsec_pki.approvals import ChangedRights, Covered, PlanProposal, ProposedStep
+from pqsec_pki.documents import Permissions
+from pqsec_pki.domain.desired import Desired
+from pqsec_pki.domain.steps import Plan, Step, StepAction
+from pqsec_pki.errors import KeystoreError, shown
+from pqsec_pki.keystore import Keystore, groups_file
+from pqsec_pki.lifecycle import changed_protection, changed_rights, grows, revocable
+
+_KINDS = {
+    StepAction.CHANGE_PROFILE: Covered.ROTATE,
+    StepAction.ISSUE: Covered.GROW,
+    StepAction.REPLACE: Covered.GROW,
+    StepAction.REVOKE: Covered.REVOKE,
+    StepAction.STORE_APPROVALS: Covered.APPROVALS,
+}
+"""The kinds of steps; those that sign documents may be GROW, the rest is OTHER."""
+
+
+@dataclass(frozen=True)
+class PlanReview:
+    """What a plan changes, for those who approve it."""
+
+    desired: Desired
+    keystore: Keystore
+    plan: Plan
+    now: datetime
+
+    @cached_property
+    def kinds(self) -> frozenset[Covered]:
+        """The kinds of its changes."""
+        return frozenset(map(self._kind, self.plan.steps))
+
+    @cached_property
+    def steps(self) -> tuple[ProposedStep, ...]:
+        """The steps, each with the hash of its content."""
+        return tuple(
+            ProposedStep(
+                step.action,
+                step.name,
+                shown(step.why, len(step.why)),
+                hashlib.sha256(self._content(step).encode()).hexdigest(),
+            )
+            for step in self.plan.steps
+        )
+
+    @cached_property
+    def rights(self) -> tuple[ChangedRights, ...]:
+        """The changes of rights, each with all who have it."""
+        alike: dict[tuple[str, ...], list[str]] = {}
+        for name, difference in self._differences.items():
+            alike.setdefault(tuple(_words(difference)), []).append(name)
+        return tuple(
+            ChangedRights(tuple(filter(None, names)), changes) for changes, names in alike.items()
+        )
+
+    def _kind(self, step: Step) -> Covered:
+        if step.action in {StepAction.SIGN_PERMISSIONS, StepAction.SIGN_GOVERNANCE}:
+            return Covered.GROW if grows(self._differences[step.name]) else Covered.OTHER
+        return _KINDS.get(step.action, Covered.OTHER)
+
+    @cached_property
+    def _differences(self) -> Mapping[str, Difference]:
+        """By participant; of the governance under an empty name."""
+        found: dict[str, Difference] = {}
+        if any(self._named(StepAction.SIGN_GOVERNANCE)):
+            found[""] = changed_protection(self.keystore, self.desired.governance)
+        for name in self._named(StepAction.ISSUE, StepAction.REPLACE):
+            [grant] = self.desired.members[name].spec().grants
+            found[name] = permissions_diff(None, Permissions(grants=(grant,)))
+        signed = [*self._named(StepAction.SIGN_PERMISSIONS)]
+        specs = [self.desired.members[name].spec() for name in signed]
+        return found | changed_rights(self.keystore, specs, now=self.now)
+
+    def _named(self, *actions: StepAction) -> Iterator[str]:
+        return (step.name for step in self.plan.steps if step.action in actions)
+
+    def _content(self, step: Step) -> str:
+        match step.action:
+            case StepAction.ISSUE | StepAction.REPLACE | StepAction.RENEW:
+                member = self.desired.members[step.name]
+                return f"{member.config_digest} {member.validity.total_seconds()} {step.keys}"
+            case StepAction.SIGN_PERMISSIONS:
+                return self.desired.members[step.name].config_digest
+            case StepAction.REVOKE:
+                return self._revoked[step.name]
+            case _:
+                return self._shared_content(step)
+
+    def _shared_content(self, step: Step) -> str:
+        """What a step makes that is not for one participant."""
+        match step.action:
+            case StepAction.SIGN_GOVERNANCE:
+                return self.desired.governance_digest
+            case StepAction.STORE_GROUPS:
+                return groups_file(self.desired.groups).decode()
+            case StepAction.STORE_APPROVALS:
+                return self.desired.approvals.text if self.desired.approvals else ""
+            case _:
+                return f"{step.why} {self.desired.ca_validity.total_seconds()}"
+
+    @cached_property
+    def _revoked(self) -> Mapping[str, str]:
+        """SHA-256 of the newest certificate of each participant that is revoked."""
+        names = [*self._named(StepAction.REVOKE)]
+        return {each.name: each.sha256 for each in revocable(self.keystore, names, now=self.now)}
+
+
+def _words(difference: Difference) -> Iterator[str]:
+    for change in difference.changes:
+        words = f"{change.sense}: {change.text}"
+        yield shown(words, len(words))
+    if not difference.complete:
+        yield "not all can be compared: there may be more"
+
+
+def refuse_unapproved(desired: Desired, keystore: Keystore, plan: Plan, *, now: datetime) -> None:
+    """KeystoreError if some of the plan's changes need approvals; before any is made."""
+    policy = None if keystore.approved else keystore.approvals
+    if policy:
+        policy.refuse(PlanReview(desired, keystore, plan, now).kinds)
+
+
+def propose(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
+    review: PlanReview,
+    *,
+    proposer: str,
+    prune: bool,
+    new_keys: bool,
+    validity: timedelta,
+    beside: Path,
+) -> PlanProposal:
+    """The plan as a proposal, for a file in the folder `beside`.
+
+    KeystoreError if the keystore demands no approvals.
+    """
+    policy, now = review.keystore.approvals, review.now.replace(microsecond=0)
+    if policy is None:
+        raise KeystoreError(
+            f"{review.keystore.root} demands no approvals",
+            hint="`pqsec apply` makes the changes; `approvals` in the domain file demands some",
+        )
+    return PlanProposal(
+        proposer=proposer,
+        made_at=now,
+        expires=now + validity,
+        domain_file=relpath(review.desired.path, beside),
+        domain_sha256=review.desired.sha256,
+        head=review.plan.head or review.keystore.head,
+        policy=policy,
+        needs=policy.needs(review.kinds),
+        prune=prune,
+        new_keys=new_keys,
+        steps=review.steps,
+        rights=review.rights,
+    )
