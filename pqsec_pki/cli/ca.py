@@ -1,5 +1,6 @@
 """pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
+from collections.abc import Iterator
 from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
@@ -257,34 +258,41 @@ def _show_pins(keystore: Keystore) -> None:
 
 
 def _show(keystore: Keystore) -> None:
-    cas = [
-        ("identity CA", keystore.identity_ca),
-        ("permissions CA", keystore.permissions_ca),
-    ]
-    if keystore.countersigner:
-        cas.append(("countersigner", keystore.countersigner))
-    if overlap := Overlap.of(keystore):
-        cas.append(("trusted too", overlap.other))
+    cas, keys, uris = [*_cas(keystore)], _keys(keystore), _uris(keystore)
     names = keystore.names()
-    uris = _uris(keystore)
     value = {
         "keystore": keystore.root,
         **keystore.profile.to_names(),
         "domains": str(keystore.domains),
-        "keys": _keys(keystore),
+        "keys": keys,
         "key_uris": uris,
         "cas": [{"role": role, **each.to_json()} for role, each in cas],
         "participants": names,
     }
-    lines = [f"keystore       {keystore.root} ({_described(keystore.profile)})"]
-    for role, each in cas:
-        lines.append(f"{role:<14} {each.subject_name}, {_algorithms(each)}")
-        lines.append(f"{'':<14} until {each.not_after:%Y-%m-%d}, SHA-256 {each.fingerprint}")
-    lines.append(f"{keystore.domains.noun:<14} {keystore.domains}")
-    lines.append(f"CA keys        {_keys(keystore)}")
-    lines += [f"{'':<14} {name}: {uri}" for name, uri in uris.items()]
-    lines.append(f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}")
+    lines = (
+        f"keystore       {keystore.root} ({_described(keystore.profile)})",
+        *(line for role, each in cas for line in _ca_lines(role, each)),
+        f"{keystore.domains.noun:<14} {keystore.domains}",
+        f"CA keys        {keys}",
+        *(f"{'':<14} {name}: {uri}" for name, uri in uris.items()),
+        f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}",
+    )
     _printing.emit(value, lines)
+
+
+def _cas(keystore: Keystore) -> Iterator[tuple[str, Certificate]]:
+    """The role of each CA, and its certificate."""
+    yield "identity CA", keystore.identity_ca
+    yield "permissions CA", keystore.permissions_ca
+    if keystore.countersigner:
+        yield "countersigner", keystore.countersigner
+    if overlap := Overlap.of(keystore):
+        yield "trusted too", overlap.other
+
+
+def _ca_lines(role: str, ca: Certificate) -> Iterator[str]:
+    yield f"{role:<14} {ca.subject_name}, {_algorithms(ca)}"
+    yield f"{'':<14} until {ca.not_after:%Y-%m-%d}, SHA-256 {ca.fingerprint}"
 
 
 def _keys(keystore: Keystore) -> str:
