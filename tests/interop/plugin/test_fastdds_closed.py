@@ -45,7 +45,6 @@ from tests.interop.plugin.conftest import Shim
 from tests.interop.plugin.test_plugin_dds import ended, hosted, wait_for
 from tests.interop.plugin.test_plugin_impostors import BEHAVIOURS, listening
 from tests.interop.plugin.test_plugin_try import ROOTS
-from tests.longer import LONG
 
 pytestmark = pytest.mark.interop
 
@@ -378,7 +377,6 @@ get_datareader_sec_attributes"""
 MORE = " get_participant_guid set_event_resource"
 
 
-@pytest.mark.skipif(not LONG, reason="in .ci/long: it compiles the adapter once more")
 @pytest.mark.parametrize("more", ["", MORE], ids=["3.6.2", "3.2.5"])
 def test_the_adapter_for_later_versions_has_their_functions(stack_in, more):
     """They tell their plugins of a participant by a PropertyPolicy. They are not in a

@@ -85,14 +85,13 @@ def _small(role: TrialRole, installation: Installation, preload: str) -> TrialRo
     return replace(role, environment={**role.environment, "LD_PRELOAD": f"{first}{preload}"})
 
 
-@pytest.mark.parametrize("profile", ["pq", "cnsa2"] if LONG else ["cnsa2"])
+@pytest.mark.parametrize("profile", ["cnsa2", "pq"])
 @pytest.mark.parametrize("where", ROOTS)
 def test_two_meet_in_datagrams_of_1400_bytes(meeting, where, profile):
     went = meeting(where, profile)
     assert went.outcomes[1].received == went.outcomes[0].role.text, went.outcomes[1].log
 
 
-@pytest.mark.skipif(not LONG, reason="in .ci/long: a handshake can take a minute to go through")
 @pytest.mark.parametrize("where", ROOTS)
 def test_two_meet_where_one_datagram_in_ten_is_lost(meeting, lossy, where):
     went = meeting(where, "pq", f":{lossy}")

@@ -29,7 +29,6 @@ from tests.interop.conftest import DOMAINS, LAB_PROFILES, TOPIC, Lab
 from tests.interop.plugin.test_plugin_try import AT_ONCE
 from tests.interop.roots import ROOTS, compiled
 from tests.interop.trials import RECEIVER, SENDER
-from tests.longer import LONG
 
 pytestmark = pytest.mark.interop
 
@@ -50,7 +49,7 @@ def let_it_expire(lab: Lab) -> None:
 
 
 HOW = {"revoked": (revoke_it, "it was revoked"), "expired": (let_it_expire, "permissions expired")}
-CASES = [(where, how) for where in ROOTS for how in (HOW if LONG else ["revoked"])]
+CASES = [(where, how) for where in ROOTS for how in HOW]
 MIXED = ("bookworm", "trixie")
 
 
@@ -193,7 +192,6 @@ def test_a_peer_that_may_no_longer_take_part_is_disconnected(parted, where, how)
     assert len(re.findall("received", after)) < 5
 
 
-@pytest.mark.skipif(not LONG, reason="in .ci/long: it takes longer than Fast DDS waits for a peer")
 @pytest.mark.parametrize("receiving", MIXED)
 def test_peers_of_two_versions_stay_connected(session, receiving):
     """Also where one never announces itself on the protected topic."""
@@ -207,7 +205,6 @@ def test_peers_of_two_versions_stay_connected(session, receiving):
     assert ends == [False], "".join(heard.lines)
 
 
-@pytest.mark.skipif(not LONG, reason="in .ci/long: it takes longer than Fast DDS waits for a peer")
 @pytest.mark.parametrize("where", ROOTS)
 def test_a_participant_announces_itself_also_while_the_agent_does_not_answer(
     session, plugin_for, monkeypatch, where
