@@ -81,6 +81,11 @@ class Code(StrEnum):
     """Valid, but a required classical or post-quantum signature is missing."""
     COUNTERSIGNATURE_BAD = "countersignature-bad"
 
+    # A proof that the ledger has what was issued (c2sp.org/tlog-checkpoint)
+    PROOF_MISSING = "proof-missing"
+    PROOF_BAD = "proof-bad"
+    """The signature of the head, or the path to it, is not valid, or it is of other files."""
+
     # What a document grants (DDS-Security 1.1, 9.4.3)
     NO_GRANT = "no-grant"
     GRANT_EXPIRED = "grant-expired"

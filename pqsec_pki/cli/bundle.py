@@ -86,7 +86,8 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
     The bundle has each NAME's certificate, permissions, governance, CA certificates and
     revocation list, and its private keys if they were generated here; never a CA key. A
     bundle that `pqsec install` would refuse is not written. A bundle with private keys must
-    be encrypted with --seal-for, unless you use --plain-key.
+    be encrypted with --seal-for, unless you use --plain-key. It also proves that the ledger has
+    the certificate and the documents, if the CAs have signed a head of the ledger since.
 
     With --outdated, robots lack something if the receipt that `pqsec receipt import` recorded
     names other files than the keystore has, or if there is no receipt. Participants that a
@@ -125,6 +126,11 @@ def _print(files: Sequence[BundleFile], *, outdated: bool) -> None:
                 f"{each.path} has private keys without encryption: anybody with the file can read"
                 " them"
             )
+    if any(each.bundle.proof is None for each in files):
+        _printing.note(
+            "without proof that the ledger has the documents: no signed head is over their lines;"
+            " `pqsec log --sign` signs one, or says why not"
+        )
     lines = [f"{', '.join(each.bundle.names)}  {each.path}" for each in files]
     if outdated:
         _printing.emit({"bundles": files}, lines or ["every robot runs what it should"])

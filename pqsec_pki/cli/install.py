@@ -50,6 +50,11 @@ from pqsec_pki.enrolment import rollback as roll_back
 @click.option(
     "--older", is_flag=True, help="Also install a bundle that is older than the installed one."
 )
+@click.option(
+    "--proofs",
+    is_flag=True,
+    help="From now on, refuse bundles that do not prove that the ledger has what is in them.",
+)
 @click.option("--yes", is_flag=True, help="With --only: do not ask for confirmation.")
 @folder_option
 @_settings.command_options
@@ -61,6 +66,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     trust_first: bool,
     older: bool,
     only: bool,
+    proofs: bool,
     yes: bool,
 ) -> None:
     """Check a bundle and install it on this robot.
@@ -68,6 +74,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     Everything in the bundle must be valid now under the trusted CAs, and belong to a key on
     this robot. Then DIR/current is switched, in one step, to a folder with the bundle and
     everything else that is installed. The previous folder is kept for `pqsec rollback`.
+
+    A bundle can prove that its certificates and documents are in the ledger of which the CAs
+    signed a head. A wrong proof is refused; a missing one only after --proofs was given here once.
 
     DIR/installed.receipt then says what is installed, signed with the keys of this robot: copy
     it to the machine with the CAs, for `pqsec receipt import`. To make it again, install the
@@ -83,6 +92,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         now=_settings.now(),
         trust_first=trust_first,
         older=older,
+        proofs=proofs,
         alone=only,
         agreed=removed,
         pin=_passphrases.pin,

@@ -3,12 +3,22 @@
 import re
 from collections.abc import Iterable
 from datetime import datetime
+from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _passphrases, _printing, _settings
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
-from pqsec_pki.keystore import PERMITTED, Keystore, Line, audit, regular_name
+from pqsec_pki.keystore import (
+    PERMITTED,
+    Keystore,
+    Line,
+    SigningCa,
+    audit,
+    regular_name,
+    write_anchor,
+)
+from pqsec_pki.lifecycle import sign_head
 
 _SHA256 = 64
 """Hexadecimal digits."""
@@ -25,11 +35,15 @@ _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
         "Show the ledger": "pqsec log",
         "Show what was done for a robot in the last week": "pqsec log '/fleet/**' --since 7d",
         "Check that nothing was changed or removed": "pqsec log --verify",
+        "Keep the newest signed head in another place": "pqsec log --anchor anchors",
+        "Compare the ledger with the heads that are kept there": (
+            "pqsec log --verify --anchor anchors"
+        ),
     },
     exit_codes={
-        0: "shown; with --verify, the ledger is complete",
-        1: "with --verify or --head: the ledger or a file was changed",
-        3: "the keystore cannot be read",
+        0: "shown; the ledger is complete; the head is signed or kept",
+        1: "with --verify, --head, --sign or --anchor: the ledger or a file was changed",
+        3: "the keystore cannot be read, a file not written, or the passphrase is wrong",
     },
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
@@ -46,9 +60,29 @@ _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 @click.option(
     "--head", metavar="HASH", help="Check against the head that an earlier --verify printed."
 )
+@click.option(
+    "--anchor",
+    "anchors",
+    type=_settings.FOLDER,
+    metavar="DIR",
+    help="Write the newest signed head into the folder DIR; with --verify, check against those in"
+    " DIR.",
+)
+@click.option(
+    "--sign", is_flag=True, help="Sign a head over all lines; needs the keys of the permissions CA."
+)
+@_passphrases.option
 @_settings.command_options
-def log(
-    names: tuple[str, ...], since: datetime | None, form: str, head: str | None, *, verify: bool
+def log(  # noqa: PLR0913 -- one for each option, by name
+    names: tuple[str, ...],
+    since: datetime | None,
+    form: str,
+    head: str | None,
+    anchors: Path | None,
+    *,
+    passphrase_file: Path | None,
+    verify: bool,
+    sign: bool,
 ) -> None:
     """Show or verify the ledger of everything issued, signed and revoked.
 
@@ -57,6 +91,11 @@ def log(
     --verify checks the chain of hashes, and that every file in the keystore has an entry.
     Keep the head that it prints in another place: --head then detects a ledger that was
     truncated or rewritten.
+
+    Each command that signs documents signs a head of the tree over all lines. Keep heads where
+    nobody with access to the keystore can change them: --anchor DIR adds the newest one, and
+    --verify --anchor DIR tells whether the end was cut off, lines were rewritten, or the CAs
+    signed two histories, and from which line on.
     """
     if head is not None and not _HEAD.fullmatch(head):
         raise UsageError(
@@ -65,11 +104,22 @@ def log(
         )
     _formats.chosen(form)
     verify = verify or head is not None
-    if verify and (names or since or form == _formats.CSV):
-        raise UsageError("--verify and --head check all: they exclude NAME, --since and csv")
-    keystore = _settings.open_keystore()
+    if (verify or sign or anchors) and (names or since or form == _formats.CSV):
+        raise UsageError(
+            "--verify, --head, --sign and --anchor are for all lines: they exclude NAME, --since"
+            " and csv"
+        )
+    if sign and verify:
+        raise UsageError("--sign excludes --verify and --head")
+    keystore = _settings.open_keystore(to_change=sign)
     if verify:
-        _verify(keystore, head)
+        _verify(keystore, head, anchors)
+        return
+    if sign:
+        _sign(keystore, passphrase_file, quiet=anchors is not None)
+    if anchors:
+        _anchor(keystore, anchors)
+    if sign or anchors:
         return
     lines = _lines(keystore, names, since)
     _formats.emit(
@@ -99,9 +149,29 @@ def _lines(keystore: Keystore, names: Iterable[str], since: datetime | None) -> 
     return [each for each in lines if since is None or each.entry.made_at >= since]
 
 
-def _verify(keystore: Keystore, head: str | None) -> None:
+def _sign(keystore: Keystore, passphrase_file: Path | None, *, quiet: bool) -> None:
+    """Sign a head; `quiet` if another result is printed."""
+    signed = sign_head(
+        keystore, _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
+    )
+    if not quiet:
+        value = {"origin": signed.origin, "size": signed.size, "root": signed.root.hex()}
+        _printing.emit(value, [f"signed: the head of {signed.size} lines"])
+
+
+def _anchor(keystore: Keystore, folder: Path) -> None:
+    done = write_anchor(keystore, folder)
+    if done.unsigned:
+        _printing.note(
+            f"{done.unsigned} newer lines are in no signed head: `pqsec log --sign` signs one"
+        )
+    word = "was already there" if done.already else "written"
+    _printing.emit(done.to_json(), [f"{done.path}  the head of {done.head.size} lines, {word}"])
+
+
+def _verify(keystore: Keystore, head: str | None, anchors: Path | None) -> None:
     try:
-        count, newest = audit(keystore, head)
+        count, newest = audit(keystore, head, anchors)
     except VerificationError as error:
         if _settings.settings().json:
             _printing.emit({"ok": False, "problems": error.lines}, [])

@@ -15,6 +15,13 @@ if TYPE_CHECKING:
     from pqsec_pki.credentials._signed_documents import SignedDocument
     from pqsec_pki.credentials.anchors import TrustAnchors
     from pqsec_pki.credentials.enclave import Credentials, alternative_spki
+    from pqsec_pki.credentials.logged import (
+        LOGGED,
+        PROOF,
+        logged_hashes,
+        missing_proof,
+        verify_logged,
+    )
     from pqsec_pki.credentials.names import (
         ALT_KEY,
         CA_FILES,
@@ -56,10 +63,12 @@ __all__ = [
     "IDENTITY_CA",
     "KEY",
     "KEYS",
+    "LOGGED",
     "NEEDED",
     "PERMISSIONS",
     "PERMISSIONS_ALT_CA",
     "PERMISSIONS_CA",
+    "PROOF",
     "REQUEST",
     "REVOCATION_LIST",
     "Credentials",
@@ -73,9 +82,12 @@ __all__ = [
     "grant_of",
     "identity_problems",
     "key_problems",
+    "logged_hashes",
+    "missing_proof",
     "only_certificate",
     "only_list",
     "subject_problems",
     "verify_credentials",
     "verify_documents",
+    "verify_logged",
 ]

@@ -1,7 +1,8 @@
 """Bundles: all files of a keystore that one robot needs, in one file, never a CA's key.
 
 A bundle contains one or several whole enclaves, under the paths of ROS 2, such as
-enclaves/fleet/robot1/cert.pem. It has no private key if the robot generated the keys.
+enclaves/fleet/robot1/cert.pem. It has no private key if the robot generated the keys. The proof
+that the ledger has the documents is in the manifest: an earlier pqsec refuses unknown files.
 """
 
 import hashlib
@@ -36,6 +37,7 @@ from pqsec_pki.keystore import (
 )
 from pqsec_pki.problems import Code
 from pqsec_pki.tokens import is_reference
+from pqsec_pki.transparency import LedgerProof
 
 KIND = "bundle"
 
@@ -49,6 +51,8 @@ class Bundle:
     number: int | None = None
     """The number of the newest ledger line among its files (`BundleNumbers`). Only a label: the
     manifest is not signed. None in bundles of earlier versions."""
+    proof: LedgerProof | None = field(default=None, repr=False)
+    """That the ledger has the certificates and documents of all enclaves."""
 
     @classmethod
     def of(
@@ -74,7 +78,8 @@ class Bundle:
         enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
         numbers = numbers or BundleNumbers.of(keystore)
         known = [number for files in found.values() if (number := numbers.number(files))]
-        return cls(now.replace(microsecond=0), enclaves, max(known, default=None))
+        proof = numbers.proofs.proof(enclaves.values()) if numbers.proofs else None
+        return cls(now.replace(microsecond=0), enclaves, max(known, default=None), proof)
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
@@ -93,7 +98,9 @@ class Bundle:
             enclaves[name][file] = content
         for name, files in enclaves.items():
             _check_complete(name, files)
-        bundle = cls(archive.time("created"), enclaves, bundle_number(archive.about.get("number")))
+        number = bundle_number(archive.about.get("number"))
+        proof = LedgerProof.of(archive.about["proof"]) if "proof" in archive.about else None
+        bundle = cls(archive.time("created"), enclaves, number, proof)
         if sorted(bundle.fingerprints) != sorted(archive.texts("ca_sha256")):
             raise MalformedError("the manifest names other CAs than the bundle contains")
         return bundle
@@ -112,11 +119,13 @@ class Bundle:
         }
         if self.number is not None:
             about["number"] = self.number
+        if self.proof is not None:
+            about["proof"] = self.proof.to_json()
         return Archive(KIND, about, files).pack()
 
     @cached_property
     def sha256(self) -> str:
-        """SHA-256 of the names and contents of its files, in hex, whatever the compression."""
+        """SHA-256 of the names and contents of its files, in hex, whatever its compression."""
         hashes = [
             (name, file, hashlib.sha256(data).hexdigest())
             for name, files in sorted(self.enclaves.items())

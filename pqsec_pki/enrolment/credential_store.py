@@ -32,7 +32,7 @@ from pqsec_pki._files import (
     sync_folder,
     walk,
 )
-from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS
+from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS, PROOF
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
 from pqsec_pki.enrolment.bundle import flat_name, name_of
 from pqsec_pki.enrolment.trust import TrustState
@@ -273,4 +273,4 @@ def _set_name(text: str | None) -> str | None:
 
 
 def _files_in(folder: Path) -> dict[str, bytes]:
-    return {name: read(folder / name) for name in FILES if (folder / name).is_file()}
+    return {name: read(folder / name) for name in (*FILES, PROOF) if (folder / name).is_file()}

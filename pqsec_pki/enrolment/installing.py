@@ -2,15 +2,29 @@
 
 from collections.abc import Collection, Mapping
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
-from pqsec_pki.credentials import KEYS, REVOCATION_LIST, Credentials, VerifiedCredentials
+from pqsec_pki.credentials import (
+    KEYS,
+    PROOF,
+    REVOCATION_LIST,
+    Credentials,
+    VerifiedCredentials,
+    missing_proof,
+)
 from pqsec_pki.enrolment.bundle import Bundle
-from pqsec_pki.enrolment.credential_store import CURRENT, CredentialStore, InstalledSet, changing
+from pqsec_pki.enrolment.credential_store import (
+    CURRENT,
+    CredentialStore,
+    Enclaves,
+    InstalledSet,
+    changing,
+)
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.requesting import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
@@ -66,6 +80,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     now: datetime,
     trust_first: bool = False,
     older: bool = False,
+    proofs: bool = False,
     alone: bool = False,
     agreed: Collection[str] | None = None,
     pin: Pin = stored_pin,
@@ -75,7 +90,8 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here.
     On a first installation `trust_first` trusts the CAs in the bundle. `older` accepts
     documents older than those installed before. Other installed participants stay, with the
-    bundle's revocation list, unless `alone`. `agreed` are the participants that `alone` may
+    bundle's revocation list, unless `alone`. With `proofs` this bundle, and all later ones, must
+    prove that the ledger has their documents. `agreed` are the participants that `alone` may
     remove, as `removed_alone` told them; None for any. `pin` is asked for the PIN of a token.
 
     The files are verified, and written again from the verified values. VerificationError lists
@@ -90,8 +106,9 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
             _refuse_unasked(before, bundle, agreed)
         state = _trust_state(store, before, needed=not (pins and older))
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
-        found = _verified(bundle, trusted, now)
-        newer = _raised(state, found.credentials, trusted)
+        proofs = proofs or bool(state and state.proofs)
+        found = _verified(bundle, trusted, now, proofs=proofs)
+        newer = replace(_raised(state, found.credentials, trusted), proofs=proofs)
         if not older:
             _refuse_older(found.credentials, newer)
         keys = {each.name: _keys(each, bundle, store, pin) for each in found.verified}
@@ -118,7 +135,7 @@ class _NextSet:
 
         Whether the same files were installed already: then only trust and receipt are written.
         """
-        if self.before and self.before.enclaves == self.enclaves:
+        if self.before and _same(self.before.enclaves, self.enclaves):
             store.trust(trust)
             since = self.before.at
             store.save_receipt(self._receipt(since, now))
@@ -131,6 +148,18 @@ class _NextSet:
         return receipt_of(
             self.enclaves, self.numbers, installed_at=installed_at, now=now, pin=self.pin
         )
+
+
+def _same(before: Enclaves, wanted: Enclaves) -> bool:
+    """Whether the files are the same; another proof of the same documents is as good."""
+    if any(
+        PROOF in wanted[name] and PROOF not in before[name] for name in wanted if name in before
+    ):
+        return False
+    plain = [
+        {name: {**files, PROOF: b""} for name, files in each.items()} for each in (before, wanted)
+    ]
+    return plain[0] == plain[1]
 
 
 def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
@@ -252,9 +281,9 @@ def _pins(
     )
 
 
-def _verified(bundle: Bundle, pins: Pins, now: datetime) -> VerifiedBundle:
+def _verified(bundle: Bundle, pins: Pins, now: datetime, *, proofs: bool) -> VerifiedBundle:
     try:
-        return verify_bundle(bundle, pins, now=now)
+        return verify_bundle(bundle, pins, now=now, proof_demanded=proofs)
     except VerificationError as error:
         error.hint = error.hint or (
             "`pqsec bundle` on the CA machine creates a new bundle; if anything expired, run"
@@ -276,7 +305,9 @@ def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> No
 
 def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
     credentials = _installed(earlier)
-    problems = list(pin_problems(pins_in(*(each.anchors for each in credentials)), state.pins))
+    lacking = [name for name, files in earlier.enclaves.items() if PROOF not in files]
+    problems = [missing_proof(name) for name in lacking if state.proofs]
+    problems += list(pin_problems(pins_in(*(each.anchors for each in credentials)), state.pins))
     problems += [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
         raise VerificationError(

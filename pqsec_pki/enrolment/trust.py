@@ -150,10 +150,12 @@ class Marks:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TrustState:
-    """Pins and marks of one robot."""
+    """Pins and marks of one robot, and what it demands."""
 
     pins: Pins
     marks: Marks
+    proofs: bool = False
+    """Whether each bundle must prove that the ledger has its documents."""
 
     @classmethod
     def from_json(cls, data: bytes) -> Self:
@@ -174,6 +176,7 @@ class TrustState:
                     signed=_times(marks["signed"]),
                     issued=_times(marks["issued"]),
                 ),
+                proofs=value.get("proofs", False) is True,
             )
         except (
             *(ValueError, KeyError, TypeError),
@@ -194,6 +197,8 @@ class TrustState:
                 "issued": {key: each.isoformat() for key, each in self.marks.issued.items()},
             },
         }
+        if self.proofs:
+            value["proofs"] = True
         return json.dumps(value, indent=2, sort_keys=True).encode() + b"\n"
 
     def after(self, credentials: Collection[Credentials], pins: Pins) -> "TrustState":
@@ -201,7 +206,7 @@ class TrustState:
         marks = self.marks
         for each in credentials:
             marks = marks.raised_by(Marks.of(each))
-        return TrustState(pins=pins, marks=marks)
+        return TrustState(pins=pins, marks=marks, proofs=self.proofs)
 
 
 def pins_in(*anchors: TrustAnchors) -> Pins:

@@ -12,16 +12,19 @@ from pqsec_pki.credentials import (
     ALT_KEY,
     KEY,
     KEYS,
+    PROOF,
     Credentials,
     VerifiedCredentials,
     alternative_spki,
     verify_credentials,
+    verify_logged,
 )
 from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.trust import Pins, pin_problems, pins_in
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code
 from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
+from pqsec_pki.transparency import LedgerProof
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,19 +33,26 @@ class VerifiedBundle:
 
     credentials: tuple[Credentials, ...]
     verified: tuple[VerifiedCredentials, ...]
+    proofs: Mapping[str, LedgerProof]
+    """By participant, where there is one."""
 
     @property
     def files(self) -> dict[str, dict[str, bytes]]:
         """The files of each participant without keys, written again from the verified values."""
-        return {each.name: dict(each.files) for each in self.verified}
+        files = {each.name: dict(each.files) for each in self.verified}
+        for name, proof in self.proofs.items():
+            files[name][PROOF] = proof.to_bytes()
+        return files
 
 
-def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundle:
+def verify_bundle(
+    bundle: Bundle, pins: Pins, *, now: datetime, proof_demanded: bool = False
+) -> VerifiedBundle:
     """Verify everything in `bundle` at the time `now`, except its private keys.
 
     The CAs of each enclave must be exactly those of `pins`, each in its role, so that none can
-    be left out. VerificationError lists everything that is wrong; MalformedError for a file
-    that cannot be read.
+    be left out. The proof may be missing unless `proof_demanded`. VerificationError lists
+    everything that is wrong; MalformedError for a file that cannot be read.
     """
     found = tuple(
         Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
@@ -57,15 +67,19 @@ def verify_bundle(bundle: Bundle, pins: Pins, *, now: datetime) -> VerifiedBundl
         raise VerificationError(
             *problems, hint="`pqsec ca show --pins` on the CA machine prints the fingerprints"
         )
-    verified = []
+    verified, proofs = [], {}
     for each in found:
         try:
-            verified.append(verify_credentials(each, now=now))
+            one = verify_credentials(each, now=now)
+            proof = verify_logged(one, bundle.proof, demanded=proof_demanded)
+            verified.append(one)
+            if proof:
+                proofs[each.name] = proof
         except VerificationError as error:
             problems += error.problems
     if problems:
         raise VerificationError(*problems)
-    return VerifiedBundle(found, tuple(verified))
+    return VerifiedBundle(found, tuple(verified), proofs)
 
 
 def keys_of(

@@ -17,6 +17,8 @@ The ledger:
     _table        lines in SQLite
     _ledger_file  reads the database file, and replaces it as a whole
     _ledger       the database and its queries
+    heads         the signed head of the ledger's tree
+    proofs        proofs that the ledger has what is in a bundle
     _entries      the lines for what is issued and signed
 Changes:
     _folder       access to folders by descriptor, never through a link
@@ -31,6 +33,7 @@ Questions:
     status_report        the states of participants, CAs, revocation list and governance
     overlap              whether two identity CAs are trusted, and which of them issues
     compromised          finds keys that were revoked as compromised
+    anchoring            signed heads that are kept in another place
     auditing             whether the ledger is intact
     bundle_numbers       the number of a bundle, by the ledger's lines about its files
     receipt              what a robot says that it runs, and its line in the ledger
@@ -49,6 +52,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
+    from pqsec_pki.keystore.anchoring import Anchored, checked_head, write_anchor
     from pqsec_pki.keystore.approving import approval_entries, lines_since, policy_entry
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
@@ -111,6 +115,7 @@ __all__ = [
     "RECEIPT",
     "SETTINGS",
     "WAIT",
+    "Anchored",
     "Authorities",
     "BundleNumbers",
     "Entry",
@@ -137,6 +142,7 @@ __all__ = [
     "certificate_entry",
     "change",
     "check_pair",
+    "checked_head",
     "compromised_keys_in",
     "document_entry",
     "enclave_files",
@@ -167,4 +173,5 @@ __all__ = [
     "status",
     "trust_entry",
     "trust_file",
+    "write_anchor",
 ]

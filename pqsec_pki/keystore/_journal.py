@@ -18,6 +18,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pqsec_pki._files import disk_errors, sync_filesystem
 from pqsec_pki.errors import InterruptedChangeError
@@ -27,24 +28,31 @@ from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moves import DRAFT, JOURNAL
 from pqsec_pki.keystore._transaction import Transaction
 
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.authorities import Authorities
+
 
 @contextmanager
-def change(root: Path) -> Iterator[Transaction]:
+def change(root: Path, authorities: "Authorities | None" = None) -> Iterator[Transaction]:
     """Stage a change to the keystore at `root`; it is committed if the block raises no error.
 
-    Only one process changes a keystore at a time. KeystoreError if another process locks it
-    for half a minute, or another user owns it or may write there; FileError for a disk error.
+    `authorities`, its CAs with their keys, sign the next head of the ledger. Only one process
+    changes a keystore at a time. KeystoreError if another process locks it for half a minute, if
+    another user owns it or may write there, or if the CAs have been replaced meanwhile;
+    FileError for a disk error.
     """
     with _disk_errors(root):
         root.mkdir(mode=0o755, parents=True, exist_ok=True)
         with locked(root) as folder:
             _moves.finish(folder)
             _sweep(folder)
+            if authorities:
+                authorities.refuse_outdated(root)
             name = f"{DRAFT}{secrets.token_hex(8)}"
             try:
                 os.mkdir(name, 0o700, dir_fd=folder.handle)
                 with folder.below(name) as made:
-                    transaction = Transaction(folder, made)
+                    transaction = Transaction(folder, made, authorities=authorities)
                     yield transaction
                     _commit(transaction, name)
             except BaseException:
@@ -109,6 +117,7 @@ def _is_interrupted(root: Path) -> bool:
 
 
 def _commit(transaction: Transaction, name: str) -> None:
+    transaction.sign_head()
     transaction.refuse_folders()
     _moves.write(transaction)
     sync_filesystem(transaction.made.handle)

@@ -5,7 +5,7 @@ import sqlite3
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Self, TypeAlias
 
 from pqsec_pki.errors import KeystoreError, PqsecError
 from pqsec_pki.keystore import _ledger_file, _table, layout
@@ -44,6 +44,10 @@ _CERTIFIED = (
 )
 
 
+Row: TypeAlias = tuple[int, str, str, str, str]
+"""Number, kind, name, SHA-256 and chain value of a line."""
+_ORIGIN = 32
+"""Hexadecimal digits of a chain value that name a ledger."""
 MAX_TEXT = 16 << 20
 """Bytes of one text in a line, or of all names in a question; our own lines have under 10,000."""
 
@@ -85,10 +89,14 @@ class Ledger:
         """Free the memory."""
         self._database.close()
 
-    def added(self, entries: Iterable[Entry]) -> bytes:
-        """The database file with these lines added, all or none; existing lines are skipped."""
+    def append(self, entries: Iterable[Entry]) -> None:
+        """Add these lines in memory, all or none; existing lines are skipped."""
         with self._errors(), self._transaction():
             _table.append(self._database, entries)
+
+    def added(self, entries: Iterable[Entry]) -> bytes:
+        """The database file with these lines added, as by `append`."""
+        self.append(entries)
         return self._database.serialize()
 
     @property
@@ -96,6 +104,28 @@ class Ledger:
         """The chain value of the last line."""
         with self._errors():
             return _table.last(self._database)[1]
+
+    @property
+    def size(self) -> int:
+        """The number of the last line; 0 if there is none."""
+        with self._errors():
+            return _table.last(self._database)[0]
+
+    @property
+    def origin(self) -> str:
+        """The name of this ledger in its heads, by the chain value of its first line."""
+        with self._errors():
+            rows = self._database.execute("SELECT chain FROM ledger WHERE number = 1")
+            return f"pqsec-ledger/{(rows.fetchone() or ('',))[0][:_ORIGIN]}"
+
+    def rows(self, *, after: int = 0) -> Iterator[Row]:
+        """What the tree is over: of the lines after number `after`, oldest first."""
+        with self._errors():
+            yield from self._database.execute(
+                "SELECT number, kind, name, sha256, chain FROM ledger"
+                " WHERE number > ? ORDER BY number",
+                (after,),
+            )
 
     def lines(self) -> Iterator[Line]:
         """All lines, oldest first."""

@@ -5,9 +5,11 @@ Anything that would make a later step fail is refused here, before the keystore 
 
 import os
 import stat
-from collections.abc import Iterable
-from contextlib import suppress
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
@@ -16,6 +18,9 @@ from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _ledger, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.authorities import Authorities
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +72,8 @@ class Transaction:
     entries: list[Entry] = field(default_factory=list)
     begins_ledger: bool = False
     """Whether the ledger may be missing when the lines are written."""
+    authorities: "Authorities | None" = None
+    """The CAs that sign the ledger's next head, if their keys are at hand."""
 
     def folder(self, target: str, *, private: bool) -> StagedFolder:
         """Stage an empty folder that will become, or be merged into, `target`."""
@@ -115,6 +122,29 @@ class Transaction:
             _check_ledger(self.root, begin=self.begins_ledger)
         operator = user(os.getuid())
         self.entries += [replace(entry, operator=operator) for entry in entries]
+
+    def sign_head(self) -> None:
+        """Stage the head of the ledger with the new lines, if the signers' keys were opened."""
+        if self.authorities is None or not self.authorities.can_sign:
+            return
+        from pqsec_pki.keystore.heads import extended  # noqa: PLC0415 -- authorities import this
+
+        path = Path(self.root.path)
+        with self._ledger() as ledger:
+            signed = extended(path, ledger, self.entries, self.authorities)
+        if signed:
+            public = self.folder(layout.PUBLIC, private=False)
+            for name, data in signed.files():
+                public.public(name, data)
+
+    @contextmanager
+    def _ledger(self) -> Iterator[_ledger.Ledger]:
+        """The ledger as it is; a new one for a keystore that is being created."""
+        begin = self.begins_ledger
+        there = self.root.kind(layout.PRIVATE) is not None
+        with ExitStack() as stack:
+            folder = stack.enter_context(self.root.below(layout.PRIVATE)) if there else self.made
+            yield stack.enter_context(_ledger.Ledger(folder, begin=begin))
 
     def refuse_folders(self) -> None:
         """KeystoreError if a staged file would have to replace a folder."""

@@ -9,22 +9,31 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import FileError, PqsecError, VerificationError, located
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import START, Entry, Line, problems
+from pqsec_pki.keystore.anchoring import head_problems, ledger_tree, read_anchors
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import trusted_last
 
 
-def audit(keystore: Keystore, head: str | None = None) -> tuple[int, str]:
+def audit(
+    keystore: Keystore, head: str | None = None, anchors: Path | None = None
+) -> tuple[int, str]:
     """The number of lines and the newest chain value, if no problem is found.
 
     The chain must be complete from the first line. Every certificate, signed document and list
     in the keystore must have a line; the list must be the newest. `head`, from an earlier
-    audit, must be in the chain. VerificationError lists all problems.
+    audit, must be in the chain, and the tree must have all signed heads: the newest one, and those
+    in the folder `anchors`. VerificationError lists all problems.
 
     Someone who may write the ledger can replace it by another complete one: to detect that,
-    keep the head elsewhere.
+    keep heads elsewhere (anchoring.py).
     """
-    lines = keystore.lines()
-    found = [*problems(lines), *_head_problems(lines, head), *_unknown(keystore, lines)]
+    if anchors and not anchors.is_dir():
+        raise FileError(f"{anchors} is not a folder", hint="`pqsec log --anchor` makes one")
+    lines, there = keystore.lines(), read_anchors(anchors) if anchors else {}
+    broken = [*problems(lines), *_head_problems(lines, head)]
+    found = [*broken, *_unknown(keystore, lines)]
+    if there or not broken:  # a broken chain says more than the newest head
+        found += head_problems(keystore, ledger_tree(keystore), there)
     if found:
         raise VerificationError(
             *found, hint="compare it with a backup: somebody with write access changed it"

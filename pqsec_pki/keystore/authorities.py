@@ -120,10 +120,20 @@ class Authorities:
             embed_certificate=profile.runs_in_stock,
         )
 
+    @property
+    def signers(self) -> tuple[Authority, ...]:
+        """The CAs that sign documents, and heads of the ledger."""
+        return (self.permissions, *((self.countersigner,) if self.countersigner else ()))
+
+    @property
+    def can_sign(self) -> bool:
+        """Whether the keys of the signers were opened."""
+        return not any(isinstance(each.key, _ClosedKey) for each in self.signers)
+
     def sign(self, document: bytes, *, now: datetime, embed_certificate: bool = False) -> bytes:
         """The S/MIME file of a document; KeystoreError if a signer has expired."""
         counter = self.countersigner
-        for each in filter(None, (self.permissions, counter)):
+        for each in self.signers:
             end = each.certificate.not_after
             if now > end:
                 name = each.certificate.subject_name

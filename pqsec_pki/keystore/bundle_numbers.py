@@ -6,8 +6,8 @@ participant's files adds lines, so the number grows with it.
 
 import hashlib
 from collections.abc import Iterator, Mapping
-from dataclasses import field
-from typing import Self
+from dataclasses import field, replace
+from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
@@ -16,6 +16,9 @@ from pqsec_pki.keystore._file_comparison import pem_fingerprint
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import TRUST, TRUST_END
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.proofs import LedgerProofs
 
 _KINDS = (
     *("identity-ca", "permissions-ca", "participant"),
@@ -35,16 +38,20 @@ class BundleNumbers:
     least: int
     """The line that ended the last overlap, which put an older CA file into every enclave; 0 if
     there is none."""
+    proofs: "LedgerProofs | None" = field(default=None, repr=False)
+    """The proofs for bundles; None if there are none, or they were not asked for."""
 
     @classmethod
     def of(cls, keystore: Keystore) -> Self:
-        """The numbers of the bundles of `keystore`; KeystoreError if its ledger is damaged."""
+        """Numbers and proofs for bundles of `keystore`; KeystoreError if its ledger is damaged."""
+        from pqsec_pki.keystore.proofs import LedgerProofs  # noqa: PLC0415 -- `status` makes none
+
         with keystore.open_ledger() as ledger:
-            return cls.among(ledger)
+            return replace(cls.among(ledger), proofs=LedgerProofs.of(keystore.root, ledger))
 
     @classmethod
     def among(cls, ledger: Ledger) -> Self:
-        """The same, from an open ledger."""
+        """The numbers, from an open ledger."""
         lines = {sha256: line for kind in _KINDS for sha256, line in ledger.numbers(kind).items()}
         return cls(lines, max(ledger.numbers(TRUST_END).values(), default=0))
 

@@ -83,6 +83,7 @@ class Keystore:
         signed = authorities.sign(governance, now=now)
         with _journal.change(root) as transaction:
             cls.refuse_occupied(root)
+            transaction.authorities = authorities
             public = transaction.folder(layout.PUBLIC, private=False)
             private = transaction.folder(layout.PRIVATE, private=True)
             authorities.write(public, private, passphrase)

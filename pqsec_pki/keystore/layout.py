@@ -3,7 +3,7 @@
 pqsec.json                          profile and default domains
 [groups.json]                       the groups of the domain file
 public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
-          [identity_ca.crl.pem]
+          [identity_ca.crl.pem] [ledger.checkpoint ledger.tree]
 private/  identity_ca.key.pem permissions_ca.key.pem [*.alt.key.pem] ledger.sqlite3
           [next_identity_ca.key.pem next_identity_ca.alt.key.pem] [generations/<number>/]
 enclaves/ governance.xml governance.p7s
@@ -27,6 +27,8 @@ PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
 GENERATIONS = f"{PRIVATE}/generations"
 """CAs that have been replaced, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
+TREE_HEAD, TREE = "ledger.checkpoint", "ledger.tree"
+"""In `public/`: the newest signed head of the ledger, and what is needed to extend its tree."""
 
 CERTIFICATE, KEY, ALT_KEY, KEYS = (
     credentials.CERTIFICATE,

@@ -6,7 +6,7 @@ Participants and documents:
     issuing       issues new participants; `_issuer` makes their files, and `_key_checks` refuses
                   keys that are compromised or another participant's
     renewing      renews participants; `_inspector` finds the newest files of each
-    signing       signs governance and permissions again
+    signing       signs governance and permissions again, and heads of the ledger
     permitting    changes single rights of participants
     growing       whether documents to be signed give more than those that are signed
     revoking      revokes certificates and issues revocation lists
@@ -46,7 +46,12 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.lifecycle.rollover_apply import RolloverResult, apply_rollover
     from pqsec_pki.lifecycle.rollover_plan import plan_rollover
-    from pqsec_pki.lifecycle.signing import sign_document, sign_governance, sign_permissions
+    from pqsec_pki.lifecycle.signing import (
+        sign_document,
+        sign_governance,
+        sign_head,
+        sign_permissions,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -84,6 +89,7 @@ __all__ = [
     "sign_changed",
     "sign_document",
     "sign_governance",
+    "sign_head",
     "sign_permissions",
     "store_approvals",
     "store_groups",

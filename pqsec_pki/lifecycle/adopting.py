@@ -125,6 +125,8 @@ def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> 
         public.public(layout.CA_LIST, read(scan.list_file))
     for staged, there in ((settings, root), (public, root / layout.PUBLIC)):
         staged.set_mode(there.stat().st_mode & 0o777)  # keep the folder's mode
+    for head in (layout.TREE_HEAD, layout.TREE):  # of a ledger that was lost
+        transaction.remove(f"{layout.PUBLIC}/{head}")
     transaction.record(*scan.entries)
 
 

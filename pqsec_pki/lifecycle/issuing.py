@@ -84,9 +84,8 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     """
     specs = _checked(keystore, specs, force=force)
     issuer = Issuer(keystore, authorities, now)
-    with change(keystore.root) as transaction:
+    with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
-        authorities.refuse_outdated(keystore.root)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
         if not after_revocation:
             _refuse_revoked(keystore, specs, now)

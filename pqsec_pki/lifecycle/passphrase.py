@@ -20,8 +20,7 @@ def change_passphrase(
             "no CA key is in a file: there is nothing to encrypt",
             hint="the tokens have PINs; their own tools change them",
         )
-    with change(keystore.root) as transaction:
-        authorities.refuse_outdated(keystore.root)
+    with change(keystore.root, authorities) as transaction:
         overlap = Overlap.of(keystore)
         if overlap and overlap.phase is Phase.BEGUN:
             raise KeystoreError(

@@ -74,9 +74,8 @@ def sign_changed(
     KeystoreError as in `changed_permissions`, and if permissions have changed since.
     """
     names = [each.name for each in changes]
-    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         refuse_growth(keystore, lambda: (permissions_diff(each.old, each.new) for each in changes))
-        authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]

@@ -55,9 +55,8 @@ def renew(
     """
     regular = list(dict.fromkeys(map(layout.enclave_name, names)))
     issuer = Issuer(keystore, authorities, now)
-    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.OTHER)
-        authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, regular, now=now)
         inspector.refuse_revoked(regular)
         inspector.refuse_previous_ca(regular)

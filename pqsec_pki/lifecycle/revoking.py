@@ -80,9 +80,8 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     reason; only the reason keyCompromise may be added later. KeystoreError for a subject that
     is not in the ledger or has expired.
     """
-    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.REVOKE)
-        authorities.refuse_outdated(keystore.root)
         chosen = _chosen(ledger, subjects, now)
         before = _revoked_since(ledger)
         new = [
@@ -112,9 +111,8 @@ def renew_list(
     validity: timedelta = LIST_VALIDITY,
 ) -> RevocationList:
     """Issue a new list with the same revocations and a later nextUpdate."""
-    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.OTHER)
-        authorities.refuse_outdated(keystore.root)
         publisher = Publisher(keystore, authorities.identity, ledger, now)
         return publisher.publish(transaction, [], validity)
 

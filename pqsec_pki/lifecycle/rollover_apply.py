@@ -110,10 +110,8 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
     """
     if plan.terms.needs_old_cas and kept is None:
         raise UsageError("the key of the CA that stays is needed")
-    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root, kept) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.ROTATE)
-        if kept:
-            kept.refuse_outdated(keystore.root)
         if ledger.head != plan.head:
             raise KeystoreError(
                 "the keystore was changed after the plan was made", hint="run the command again"
@@ -126,6 +124,7 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
                 cas = replace(kept, identity=following)
             else:
                 cas = _replaced(plan, kept, new_cas(plan, now, keys))
+            transaction.authorities = cas
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
             execution = _Execution(keystore, new, plan, cas, transaction, inspector, lines, now)

@@ -20,6 +20,7 @@ from pqsec_pki.keystore import (
     Keystore,
     StagedFolder,
     change,
+    checked_head,
     document_entry,
     layout,
 )
@@ -27,6 +28,7 @@ from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
 from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, refuse_growth
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
+from pqsec_pki.transparency import TreeHead
 
 
 def sign_permissions(
@@ -39,9 +41,8 @@ def sign_permissions(
     is not its newest.
     """
     names = [layout.enclave_name(spec.name) for spec in specs]
-    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         refuse_growth(keystore, lambda: changed_rights(keystore, specs, now=now).values())
-        authorities.refuse_outdated(keystore.root)
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
@@ -63,9 +64,8 @@ def sign_governance(
     """
     document = governance.to_xml()
     signed = authorities.sign(document, now=now)
-    with change(keystore.root) as transaction:
+    with change(keystore.root, authorities) as transaction:
         refuse_growth(keystore, lambda: [changed_protection(keystore, governance)])
-        authorities.refuse_outdated(keystore.root)
         enclaves = transaction.folder(layout.ENCLAVES, private=False)
         enclaves.public(layout.GOVERNANCE_XML, document)
         enclaves.public(layout.GOVERNANCE, signed)
@@ -73,6 +73,16 @@ def sign_governance(
         transaction.record(
             replace(entry, details={"mark": config_digest}) if config_digest else entry
         )
+
+
+def sign_head(keystore: Keystore, authorities: Authorities) -> TreeHead:
+    """Sign a head over all lines of the ledger, unless there is one.
+
+    VerificationError if it no longer has the lines of which the last head was signed.
+    """
+    with change(keystore.root, authorities):
+        pass  # each change with the CA keys signs one
+    return checked_head(keystore).head
 
 
 def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by name
@@ -92,9 +102,8 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     ExistsError if `goal` exists, unless `force`; then nothing is entered.
     """
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
-    with change(keystore.root) as transaction:
+    with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
-        authorities.refuse_outdated(keystore.root)
         transaction.record(document_entry(kind.value, str(goal), signed, now))
         place = layout.document_folder(keystore.root, kind.value, goal)
         if place is None:

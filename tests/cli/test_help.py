@@ -213,6 +213,7 @@ FIRST = {
     "sign-request import": (EXPORT, "sign-request sign fleet.request -o fleet.answer"),
     "sign-request sign": (EXPORT,),
     "ca crl": ("ca crl",),
+    "log": ("log --anchor anchors",),
     "pqsec plan domain.yaml -o plan.json --key alice.pem": DECIDED,
     "pqsec apply plan.json --yes": (
         *DECIDED,

@@ -38,4 +38,4 @@ def with_files(bundle, name=ROBOT, **files):
     named = {key.replace("_pem", ".pem").replace("_p7s", ".p7s"): v for key, v in files.items()}
     named = {{"alt.key": "alt.key.pem"}.get(key, key): data for key, data in named.items()}
     changed = {k: v for k, v in {**bundle.enclaves[name], **named}.items() if v is not None}
-    return replace(bundle, enclaves={**bundle.enclaves, name: changed})
+    return replace(bundle, enclaves={**bundle.enclaves, name: changed}, proof=None)

@@ -206,9 +206,10 @@ def test_the_newest_lines_missing_show_by_what_lies_in_the_keystore(keystore):
     alter(keystore, "DELETE FROM ledger WHERE number > 5")
     with pytest.raises(VerificationError) as refusal:
         audit(keystore)
-    files = [problem.split(" is not in the ledger")[0] for problem in refusal.value.lines]
+    *files, head = [problem.split(" is not in the ledger")[0] for problem in refusal.value.lines]
     found = {file.rpartition("/")[2] for file in files}
     assert found == {"cert.pem", "permissions.p7s"}
+    assert "ledger.checkpoint: the end was cut off" in head
 
 
 def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
@@ -218,7 +219,7 @@ def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
     audit(keystore, head.upper())
     audit(keystore, START)
     entries = keystore.ledger()
-    for file in (keystore.root / "private").glob("ledger*"):
+    for file in keystore.root.glob("p*/ledger*"):  # and the signed head
         file.unlink()
     # By who can write it: the same, but for one thing in each line.
     with Folder.opened(keystore.root / "private") as private:
@@ -303,7 +304,7 @@ def test_permissions_of_a_participant_without_any_line_are_not_renewed(keystore)
 def older(keystore):
     """The same ledger in format 1."""
     rows = [(e.at, e.kind, e.name, e.serial, e.sha256, e.not_after) for e in keystore.ledger()]
-    for file in (keystore.root / "private").glob("ledger*"):
+    for file in keystore.root.glob("p*/ledger*"):  # and the signed head
         file.unlink()
     with database(keystore) as opened:
         opened.executescript(FORMAT_1)

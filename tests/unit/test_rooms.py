@@ -41,18 +41,22 @@ MAY_IMPORT: dict[str, set[str]] = {
     "documents": set(),
     "certificates": {"algorithms"},
     "tokens": {"algorithms"},
+    "transparency": {"algorithms"},
     "smime": {"algorithms", "certificates"},
     "access": {"documents"},
     "handshake": {"algorithms", "certificates", "smime"},
-    "credentials": {"algorithms", "certificates", "smime", "documents", "access", "tokens"},
+    "credentials": {
+        *("algorithms", "certificates", "smime", "documents", "access", "tokens"),
+        "transparency",
+    },
     "approvals": {"algorithms"},
     "keystore": {
         *("algorithms", "certificates", "smime", "documents", "credentials", "tokens"),
-        "approvals",
+        *("approvals", "transparency"),
     },
     "lifecycle": {
         *("algorithms", "certificates", "smime", "documents", "credentials", "keystore"),
-        *("tokens", "access", "approvals"),
+        *("tokens", "access", "approvals", "transparency"),
     },
     "vendors": {"keystore", "lint", "access", "documents", "smime", "algorithms", "plugin"},
     "domain": {
@@ -72,7 +76,7 @@ MAY_IMPORT: dict[str, set[str]] = {
 MAY_IMPORT["lint"] = {
     *("algorithms", "certificates", "smime", "documents", "access", "handshake", "keystore")
 }
-MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle"}
+MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle", "transparency"}
 MAY_IMPORT["policy"] = {"keystore", "access"} | MAY_IMPORT["keystore"]
 MAY_IMPORT["report"] = MAY_IMPORT["policy"] | {"policy", "lint", "migration"}
 MAY_IMPORT["learning"] = {"policy", "access", "keystore", "documents"}

@@ -1,0 +1,107 @@
+"""The signed head of the ledger's tree: made with each change, and checked.
+
+A change with the permissions CA's keys at hand signs a head over its own lines and those since the
+last head.
+Beside the head are the roots of the complete subtrees, so that no older line is read again.
+"""
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import exists, read
+from pqsec_pki.algorithms import PublicKey
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, located
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.participant import load_first_certificate
+from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
+
+MAX_TREE = 16 << 10
+"""Bytes; 63 hashes take 5 kB."""
+
+
+@dataclass(frozen=True, slots=True)
+class SignedTree:
+    """A signed head with its tree."""
+
+    checkpoint: Checkpoint
+    tree: CompactRange
+
+    def files(self) -> Iterator[tuple[str, bytes]]:
+        """The names and contents of its files in `public/`."""
+        subtrees = [each.hex() for each in self.tree.subtrees]
+        value = {"size": self.tree.size, "subtrees": subtrees}
+        yield layout.TREE_HEAD, self.checkpoint.to_bytes()
+        yield layout.TREE, json.dumps(value, indent=1).encode() + b"\n"
+
+
+def signers_in(folder: Path) -> list[Certificate]:
+    """Who signs heads: the permissions CA in the folder and, if there is one, its countersigner."""
+    second = [layout.PERMISSIONS_ALT_CA] if exists(folder / layout.PERMISSIONS_ALT_CA) else []
+    return [load_first_certificate(folder / each) for each in (layout.PERMISSIONS_CA, *second)]
+
+
+def signing_keys(signers: Iterable[Certificate]) -> list[PublicKey]:
+    """The keys that must have signed a head."""
+    return [each.public_key for each in signers]
+
+
+def read_head(root: Path) -> Checkpoint | None:
+    """The newest signed head of the keystore at `root`; None if there is none.
+
+    MalformedError if it is not a head, VerificationError unless all its CAs signed it.
+    """
+    path = root / layout.PUBLIC / layout.TREE_HEAD
+    if not exists(path):
+        return None
+    with located(path):
+        checkpoint = Checkpoint.from_bytes(read(path))
+        checkpoint.verify(signing_keys(signers_in(root / layout.PUBLIC)))
+    return checkpoint
+
+
+def extended(
+    root: Path, ledger: Ledger, entries: Sequence[Entry], authorities: Authorities
+) -> SignedTree | None:
+    """The next head, over all lines of `ledger` and then `entries`, which are added to it.
+
+    None if the last head is over the same lines, or if lines that it is over are no longer there:
+    the CA signs no other history. `pqsec log --verify` then tells it.
+    """
+    try:
+        last = read_head(root)
+        before = ledger.size
+        ledger.append(entries)
+        tree = _tree_before(root, ledger, last.head) if last else CompactRange()
+    except (MalformedError, VerificationError):
+        return None
+    if tree is None or before < tree.size or ledger.size == tree.size:
+        return None
+    if last and last.head.origin != ledger.origin:
+        return None
+    tree = tree.extended(leaf_of(*row) for row in ledger.rows(after=tree.size))
+    head = TreeHead(ledger.origin, tree.size, tree.root)
+    return SignedTree(Checkpoint.signed(head, [each.key for each in authorities.signers]), tree)
+
+
+def _tree_before(root: Path, ledger: Ledger, head: TreeHead) -> CompactRange | None:
+    """The tree of which `head` is the head, as stored, or else of the ledger's lines."""
+    stored = _stored(root / layout.PUBLIC / layout.TREE)
+    if stored and stored.is_sound and (stored.size, stored.root) == (head.size, head.root):
+        return stored
+    rows = (row for row in ledger.rows() if row[0] <= head.size)
+    tree = CompactRange().extended(leaf_of(*row) for row in rows)
+    return tree if (tree.size, tree.root) == (head.size, head.root) else None
+
+
+def _stored(path: Path) -> CompactRange | None:
+    try:
+        value = json.loads(read(path, limit=MAX_TREE))
+        return CompactRange(int(value["size"]), tuple(map(bytes.fromhex, value["subtrees"])))
+    except (PqsecError, ValueError, KeyError, TypeError, RecursionError):
+        return None
