@@ -56,13 +56,17 @@
     }
   };
 
+  const unitIn = (list, name) => { // tb3 of /tb3/camera, in the list of /{name}/camera
+    const [before, after] = list.dataset.label.split("{name}");
+    return name.slice(before.length, after ? -after.length : undefined);
+  };
+
   const choose = (button) => {
     const off = !button || button.getAttribute("aria-pressed") === "true";
     every("[aria-pressed]", picture).forEach((each) => each.setAttribute("aria-pressed", !off && each.textContent === button.textContent));
     const list = off ? null : button.closest(".members");
     const group = list && list.closest(".box").dataset.number;
-    const [before, after] = list ? list.dataset.label.split("{name}") : [];
-    const unit = list && button.textContent.slice(before.length, after ? -after.length : undefined);
+    const unit = list && unitIn(list, button.textContent);
     let count = 0;
     for (const flow of flows) {
       const is = off || numbers(flow.dataset.holders).includes(group);
@@ -102,13 +106,24 @@
 
   // Find, fold and print
 
+  const foldedAs = (wanted) => { // for each group, what stands in its rows for the wanted topic
+    const found = new Map();
+    for (const list of every(".members")) {
+      const units = new Set(every("li", list).map((each) => unitIn(list, each.textContent).toLowerCase()));
+      const inside = [...units].filter((unit) => unit && unit !== wanted && wanted.includes(unit));
+      if (inside.length) found.set(list.closest(".box").dataset.number, inside.map((unit) => wanted.replaceAll(unit, "{name}")));
+    }
+    return found;
+  };
+
   const show = () => {
     const wanted = filter.value.trim().toLowerCase();
-    const has = (row) => wanted === "" || `${row.textContent} ${row.dataset.words ?? ""}`.toLowerCase().includes(wanted);
-    const groups = new Set(rows.filter((row) => row.dataset.group && has(row)).map((row) => row.dataset.group));
+    const has = (row, text) => text === "" || `${row.textContent} ${row.dataset.words ?? ""}`.toLowerCase().includes(text);
+    const groups = new Set(rows.filter((row) => row.dataset.group && has(row, wanted)).map((row) => row.dataset.group));
+    const folded = foldedAs(wanted);
     let count = 0;
     for (const row of rows) {
-      const match = has(row) || numbers(row.dataset.holders).some((each) => groups.has(each));
+      const match = has(row, wanted) || numbers(row.dataset.holders).some((each) => groups.has(each) || folded.get(each)?.some((text) => has(row, text)));
       row.hidden = !match;
       count += match;
     }

@@ -35,6 +35,7 @@ const cut = () => {
 
 const opened = async (browser, width, height, scheme) => {
   const context = await browser.newContext({ viewport: { width, height }, colorScheme: scheme });
+  context.setDefaultTimeout(300_000); // a busy machine
   const page = await context.newPage();
   const requests = [];
   page.on("request", (request) => requests.push(request.url()));
@@ -75,11 +76,41 @@ const used = async (page) => {
   await pictured(page);
 };
 
+/** Which boxes of topics are shown, and to which lines go. */
+const flows = () => {
+  const boxes = [...document.querySelectorAll(".flow")];
+  const shown = boxes.flatMap((each, number) => each.hidden ? [] : [number]);
+  const drawn = [...new Set([...document.querySelectorAll("#lines path[data-flow]")].map((each) => +each.dataset.flow))];
+  return { shown, drawn: drawn.sort((one, other) => one - other), texts: boxes.map((each) => each.querySelector(".topic bdi").textContent) };
+};
+
+/** Each topic, one of a robot's own by its real name: its box alone is shown, with its lines. */
+const sought = async (page) => {
+  const { shown: all, texts } = await page.evaluate(flows);
+  const { label, group, member } = await page.locator(".picture .members").first().evaluate((list) => (
+    { label: list.dataset.label, group: list.closest(".box").dataset.number, member: list.querySelector("li").textContent }));
+  const [before, after] = label.split("{name}");
+  const unit = member.slice(before.length, member.length - (after ?? "").length);
+  for (const text of new Set(texts)) {
+    const number = texts.indexOf(text);
+    const own = (await page.locator(".flow").nth(number).getAttribute("data-own")).split(" ").includes(group);
+    const typed = own ? text.replaceAll("{name}", unit) : text;
+    await page.locator("#filter").fill(typed);
+    const { shown, drawn } = await page.evaluate(flows);
+    expect(shown.includes(number), `Find does not find ${typed}`);
+    expect(shown.length < all.length, `Find leaves all boxes for ${typed}`);
+    expect(`${drawn}` === `${shown}`, `after Find of ${typed} lines go to ${drawn}, not to ${shown}`);
+  }
+  await page.locator("#filter").fill("");
+  expect((await page.evaluate(flows)).shown.length === all.length, "boxes stay hidden without a filter");
+};
+
 const pictured = async (page) => {
   if (await page.locator("#incomplete").count()) return; // rights may be missing
   const groups = page.locator("#senders details summary, #receivers details summary");
   expect(await page.locator("#lines path[data-flow]").count() > 0, "the picture has no lines");
   if (!(await groups.count())) return wrong("the picture has no group: this report does not show enough");
+  await sought(page);
   await groups.first().focus();
   await page.keyboard.press("Enter");
   const members = page.locator(".picture details[open] .members button");
