@@ -1,7 +1,8 @@
 """pqsec explain: show whether a participant may do something, and why."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ from pqsec_pki.documents import parse_subject, ros
 from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
 from pqsec_pki.keystore import is_several
 from pqsec_pki.policy import (
-    NamedRight,
     PolicyInput,
+    RightAnswer,
     Use,
     answer_right,
     governance_in,
@@ -33,6 +34,9 @@ from pqsec_pki.policy import (
     policy_input_of,
     signed_by,
 )
+
+Answering = Callable[[PolicyInput], RightAnswer]
+"""Answers the question for one participant."""
 
 
 @_help.command(
@@ -112,26 +116,40 @@ def explain(name: str | None, stack: str | None, **asked: Any) -> int:
     if name is not None and asked["participant"] is not None:
         raise UsageError("NAME and --participant exclude each other: they mean the same")
     asked["participant"] = asked["participant"] if name is None else name
-    right = _explain_asked.right_asked(asked)
-    asked_of = Question(
+    now = _settings.now()
+    answer = partial(
+        answer_right,
+        right=_explain_asked.right_asked(asked),
+        question=_question(asked, now),
+        stack=stack,
+        everywhere=asked["domain"] is None,
+    )
+    names = _participants(asked["participant"])
+    if len(names) > 1:
+        return _of_several(names, answer, now)
+    return _of_one({**asked, "participant": names[0]}, answer, now)
+
+
+def _question(asked: dict[str, Any], now: datetime) -> Question:
+    """The question about each topic, which gets the action that the right needs."""
+    return Question(
         subject="",
         domain=asked["domain"] or 0,
-        action=Action.JOIN,  # of each topic instead the action that the right needs
-        now=_settings.now(),
+        action=Action.JOIN,
+        now=now,
         partitions=asked["partitions"],
         data_tags=tuple(map(_tag, asked["tags"])),
     )
-    everywhere = asked["domain"] is None
-    names = _participants(asked["participant"])
-    if len(names) > 1:
-        return _of_several(names, right, asked_of, stack, everywhere=everywhere)
+
+
+def _of_one(asked: dict[str, Any], answer: Answering, now: datetime) -> int:
     try:
-        policy_input = _policy_input({**asked, "participant": names[0]}, asked_of.now)
+        policy_input = _policy_input(asked, now)
     except VerificationError as error:
         if _settings.settings().json:
             _printing.emit({"allowed": False, "problems": error.lines}, [])
         raise
-    found = answer_right(policy_input, right, asked_of, stack, everywhere=everywhere)
+    found = answer(policy_input)
     if len(found.uses) > 1:
         _printing.emit({"allowed": found.allowed, "answers": [found]}, right_lines(found))
     else:
@@ -146,26 +164,19 @@ def _participants(given: str | None) -> list[str | None]:
     return list(named(_settings.open_keystore(), [given]))
 
 
-def _of_several(
-    names: Sequence[str | None],
-    right: NamedRight,
-    question: Question,
-    stack: str | None,
-    *,
-    everywhere: bool,
-) -> int:
+def _of_several(names: Sequence[str | None], answer: Answering, now: datetime) -> int:
     """Print the answer for each; 0 if all may. Who has documents that are not valid may not."""
     keystore = _settings.open_keystore()
     values, lines, all_may = list[dict[str, object]](), list[str](), True
     for name in filter(None, names):
         try:
-            policy_input = policy_input_of(keystore, name, question.now)
+            policy_input = policy_input_of(keystore, name, now)
         except VerificationError as error:
             all_may = False
             values.append({"participant": name, "allowed": False, "problems": error.lines})
             lines += [f"NO    {name}: {printable(line)}" for line in error.lines]
             continue
-        found = answer_right(policy_input, right, question, stack, everywhere=everywhere)
+        found = answer(policy_input)
         all_may = all_may and found.allowed
         values.append(found.to_json())
         lines += right_lines(found)
