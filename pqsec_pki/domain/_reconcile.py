@@ -107,8 +107,10 @@ class Reconciler:
         return Step(action, name, why, keys)
 
     def _key_is_elsewhere(self, name: str, held: ParticipantState) -> bool:
-        """Whether it sent a request, and the keystore has no key for it."""
-        return held.requested and not (self.keystore and self.keystore.has_key(name))
+        """Whether it sent a request, and the keystore has no key for it; or a token has it."""
+        if self.keystore and (self.keystore.has_key(name) or self.keystore.keys_outside(name)):
+            return not self.keystore.has_key(name)
+        return held.requested
 
     def _why_renew(self, member: Member, held: ParticipantState) -> str:
         if not held.state.calls_for_renewal or held.not_after - self.now >= member.validity:

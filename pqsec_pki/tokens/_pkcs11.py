@@ -74,6 +74,8 @@ class Login:
                 self.session = token.open(rw=True, user_pin=self.pin)
             except pkcs11.TokenWriteProtected:
                 self.session = token.open(user_pin=self.pin)
+            except pkcs11.UserAlreadyLoggedIn:  # by another URI, or before the library began again
+                self.session = token.open(rw=True)
 
     def again(self) -> None:
         """Log in again in a library that looks at its tokens anew."""

@@ -12,6 +12,7 @@ from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
 from pqsec_pki.errors import ExistsError, KeystoreError, VerificationError
 from pqsec_pki.keystore import audit, status
 from pqsec_pki.lifecycle import Rollover, renew, revoke
+from pqsec_pki.tokens import reference_to
 from tests.unit.domains import DAY, NOW, Scene
 from tests.unit.keystores import rotate
 
@@ -337,6 +338,12 @@ def test_who_was_given_a_key_here_since_is_issued_anew_like_others(fleet):
 
 
 # Stranded
+
+
+def test_a_key_in_a_token_is_not_followed_by_one_in_a_file(fleet):
+    fleet.file_of("/made", "key.pem").write_bytes(reference_to("pkcs11:token=lab;object=made"))
+    shutil.copyfile(fleet.file_of("/r2", "cert.pem"), fleet.file_of("/made", "cert.pem"))
+    assert fleet.blocked()["/made"].startswith("has its key elsewhere, and its certificate is")
 
 
 def test_who_did_not_come_along_to_the_new_ca_needs_a_new_request(fleet):
