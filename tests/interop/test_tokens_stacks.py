@@ -79,6 +79,11 @@ def test_stock_fast_dds_reads_the_pin_in_a_file_without_a_line_end(fastdds, toke
         assert met(went), logs(went)
 
 
+def test_cyclone_dds_and_fast_dds_meet_with_our_plugin_and_keys_in_a_token(fastdds, pair):
+    said = pair.pqsec("try", "cyclonedds,fastdds", *NAMES, "--plugin", HOME=str(pair.home))
+    assert "the sample cannot be read in" in said
+
+
 @pytest.mark.parametrize("stack", ["cyclonedds", "opendds", "connext", "ros2"])
 def test_an_export_for_a_plugin_that_takes_no_token_is_refused(pair, stack):
     said = pair.pqsec("export", stack, "alice", "-o", "there", exit_code=1, **NO_TOKEN)

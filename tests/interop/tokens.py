@@ -29,7 +29,8 @@ class Token:
     def softhsm(cls, folder: Path) -> "Token":
         """A new token of SoftHSM."""
         (folder / "tokens").mkdir()
-        configuration = folder / "softhsm2.conf"
+        configuration = folder / "home/.config/softhsm2/softhsm2.conf"
+        configuration.parent.mkdir(parents=True)
         configuration.write_text(f"directories.tokendir = {folder / 'tokens'}\n")
         token = cls(folder, SOFTHSM, {"SOFTHSM2_CONF": str(configuration)})
         token.tool("--init-token", "--slot-index", "0", "--label", "lab", "--so-pin", SO_PIN)
@@ -64,6 +65,11 @@ class Token:
         self.pin_file.write_text(f"{PIN}\n")
         self.pin_file.chmod(0o600)
         return self
+
+    @property
+    def home(self) -> Path:
+        """A home folder where SoftHSM finds the token: an agent gets few variables of its host."""
+        return self.folder / "home"
 
     @property
     def pin_file(self) -> Path:

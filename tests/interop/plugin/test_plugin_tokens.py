@@ -32,10 +32,7 @@ NAMES = ("alice", "bob")
 def own(shim, token, monkeypatch) -> Shim:
     """The plugin, with an agent that starts with the token's library and PIN."""
     runtime = Path(tempfile.mkdtemp(prefix="pqsec-"))  # a socket's path must be short
-    settings = token.folder / "home/.config/softhsm2/softhsm2.conf"
-    settings.parent.mkdir(parents=True)
-    settings.write_text(Path(token.environment["SOFTHSM2_CONF"]).read_text())
-    monkeypatch.setenv("HOME", str(token.folder / "home"))
+    monkeypatch.setenv("HOME", str(token.home))
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(runtime))
     monkeypatch.setenv("PQSEC_PKCS11_MODULE", str(token.module))
     monkeypatch.setenv("PQSEC_PIN_FILE", str(token.pin_file))
