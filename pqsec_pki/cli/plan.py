@@ -106,7 +106,7 @@ def plan(  # noqa: PLR0913 -- one for each option, by name
     keystore, now = Keystore.find(_settings.keystore_path()), _settings.now()
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
     review = PlanReview(desired, keystore, found, now) if keystore else None
-    if output and key:
+    if output and key is not None:
         if review is None:
             raise KeystoreError("there is no keystore yet", hint="`pqsec apply` creates it")
         _refuse_nothing(found)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
-from pqsec_pki.algorithms import PublicKey, load_public_key, unpem
+from pqsec_pki.algorithms import PublicKey, load_public_key, pem, unpem
 from pqsec_pki.approvals import ApprovalPolicy, Covered
 from pqsec_pki.documents.parts_yaml import (
     Item,
@@ -62,6 +62,17 @@ def approvals_in(item: Item) -> ApprovalsItem:
     }
     found = fields(item, readers, required=("required", "of"))
     return ApprovalsItem(item, found["required"], found.get("for", _DEFAULT), found["of"])
+
+
+def approvals_as_yaml(policy: ApprovalPolicy) -> dict[str, object]:
+    """The value that is read as this policy."""
+    keys = {name: pem("PUBLIC KEY", key.spki).decode() for name, key in policy.approvers.items()}
+    kinds = [each for each in _KINDS if each in policy.covers]
+    return {
+        "required": policy.required,
+        "for": _EVERY if Covered.OTHER in policy.covers else [str(each) for each in kinds],
+        "of": keys,
+    }
 
 
 def _keys(item: Item) -> dict[str, Item]:

@@ -28,6 +28,7 @@ def keystore_source(keystore: Keystore, now: datetime) -> ImportSource:
     anchors = keystore.issuing_cas
     source = _with_shared(keystore, anchors)
     source.groups = keystore.groups
+    source.approvals = keystore.approvals
     ca = keystore.identity_ca
     source.ca_validity = lifetime(ca.not_before, ca.not_after)
     states = {

@@ -6,6 +6,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki.approvals import ApprovalPolicy
 from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.documents import Governance, Grant, parse_subject
 from pqsec_pki.domain._shared_rules import FoundParticipant
@@ -38,6 +39,7 @@ class ImportSource:
     profile: str = ""
     ca_validity: timedelta | None = None
     groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    approvals: ApprovalPolicy | None = None
 
     def add(
         self,

@@ -73,8 +73,8 @@ def approved_plan(
 
     VerificationError if not; KeystoreError if the keystore demands no approvals.
     """
-    _refuse_unapproved(proposal, approvals, keystore)
     proposal.refuse_expired(now)
+    _refuse_unapproved(proposal, approvals, keystore)
     if desired.sha256 != proposal.domain_sha256:
         raise _changed(f"{desired.path} is not the file that the plan was made of")
     since = lines_since(keystore.lines(), proposal)

@@ -14,6 +14,7 @@ from typing import TypeVar
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, is_folder
 from pqsec_pki.algorithms import PROFILES
+from pqsec_pki.approvals import ApprovalPolicy
 from pqsec_pki.documents import PRESETS, DefaultAction, DomainSet, Governance
 from pqsec_pki.documents.parts_yaml import (
     domains_as_yaml,
@@ -21,6 +22,7 @@ from pqsec_pki.documents.parts_yaml import (
     governance_as_yaml,
     rules_as_yaml,
 )
+from pqsec_pki.domain._approvals import approvals_as_yaml
 from pqsec_pki.domain._keystore_sources import keystore_source, other_keystore_source
 from pqsec_pki.domain._name_patterns import patterns_of
 from pqsec_pki.domain._policy_sources import document_source, is_sros2_policy, sros2_policy_source
@@ -162,7 +164,17 @@ class _Writer:
         if self.named_groups:
             written = {key: patterns_of(names) for key, names in self.named_groups.items()}
             parts.append(dump({"groups": written}))
+        parts += [dump({"approvals": approvals_as_yaml(each)}) for each in self._approvals()]
         return head.encode() + b"\n".join(parts)
+
+    def _approvals(self) -> list[ApprovalPolicy]:
+        """What the keystores demand; UsageError if it is not the same."""
+        found = {each.approvals.text: each.approvals for each in self.sources if each.approvals}
+        if len(found) > 1:
+            raise UsageError(
+                "the keystores demand different approvals", hint="import them one by one"
+            )
+        return [*found.values()]
 
     def _settings(self) -> dict[str, object]:
         settings: dict[str, object] = {}

@@ -69,6 +69,7 @@ TESTS = {
         "sharing",
         "plugin_rights",
     ),
+    "approvals": ("approvals",),
     "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
 }
 """For each room the files of tests for it: test_*.py in tests/unit, or a path in tests."""

@@ -27,7 +27,7 @@ from pathlib import Path
 
 ROOMS = (
     "credentials", "smime", "certificates", "handshake", "enrolment", "plugin", "access",
-    "policy",
+    "policy", "approvals",
 )  # fmt: skip
 PACKAGE = "pqsec_pki"
 

@@ -22,7 +22,7 @@ from pqsec_pki.approvals._canonical import canonical
 from pqsec_pki.approvals.approval import LABEL
 from pqsec_pki.documents import Governance
 from pqsec_pki.domain import apply as apply_domain
-from pqsec_pki.domain import read_domain
+from pqsec_pki.domain import import_domain, read_domain
 from pqsec_pki.errors import (
     InvalidDocumentError,
     KeystoreError,
@@ -573,3 +573,19 @@ def test_a_damaged_policy_in_the_ledger_opens_nothing(council):
     for text in ("{", '{"required": 0}', b64encode(b"x").decode()):
         with pytest.raises(MalformedError):
             ApprovalPolicy.from_text(text)
+
+
+@pytest.mark.parametrize("kinds", ["", "for: all, ", "for: [rotate], "])
+def test_a_domain_file_made_of_the_keystore_demands_the_same(tmp_path, kinds):
+    council = Council(tmp_path, DOMAIN.replace("{required", f"{{{kinds}required"))
+    made = import_domain([council.root], now=NOW, domains=council.keystore.domains)
+    council.file.write_bytes(made.document)
+    assert council.desired.approvals == council.keystore.approvals
+    assert council.plan().in_order
+
+
+def test_two_keystores_with_different_rules_make_no_domain_file(tmp_path):
+    councils = [Council(tmp_path / "one"), Council(tmp_path / "two", DOMAIN.replace("/r{", "/s{"))]
+    roots = [each.root for each in councils]
+    with pytest.raises(UsageError, match="the keystores demand different approvals"):
+        import_domain(roots, now=NOW, domains=councils[0].keystore.domains)
