@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from pqsec_pki.algorithms import pem
 from tests.interop.cyclone import participant
 from tests.interop.tokens import PIN, SPY, Token
 from tests.longer import LONG
@@ -294,3 +295,30 @@ def test_a_token_with_ml_dsa_has_the_cas_of_the_pq_profile(requires, openssl35, 
     signer = ("-CAfile", keystore / "public/permissions_ca.cert.pem")
     certificate = ("-certfile", keystore / "public/permissions_ca.cert.pem")
     openssl35("cms", "-verify", "-in", talker / "permissions.p7s", *signer, *certificate)
+
+
+def test_a_plan_is_proposed_and_approved_with_keys_in_a_token(token):
+    as_user = ("--token-label", "lab", "--login", "--pin", PIN)
+    approvers = {}
+    for name in ("alice", "bob"):
+        key = ("--key-type", "EC:prime256v1", "--label", name)
+        token.tool(*as_user, "--keypairgen", *key)
+        place = token.folder / f"{name}.der"
+        read = ("--read-object", "--type", "pubkey", "--label", name, "-o", str(place))
+        token.tool(*as_user, *read)
+        (token.folder / f"{name}.pub.pem").write_bytes(pem("PUBLIC KEY", place.read_bytes()))
+        approvers[name] = f"{name}.pub.pem"
+    of = ", ".join(f"{name}: {file}" for name, file in approvers.items())
+    text = f"profile: classical\nprune: true\napprovals: {{required: 2, of: {{{of}}}}}\n"
+    robot = "participants: [{name: /a, rules: [{allow: {publish: [rt/a]}}]}]\n"
+    (token.folder / "domain.yaml").write_text(text + robot)
+    token.pqsec("apply", "--yes", "--no-passphrase")
+    (token.folder / "domain.yaml").write_text(text)
+    token.pqsec("apply", "--yes", "--revoke-most", exit_code=3)
+    proposed = ("plan", "-o", "plan.json", "--key", "pkcs11:token=lab;object=alice")
+    token.pqsec(*proposed)
+    token.pqsec("apply", "plan.json", "--yes", "--revoke-most", exit_code=1)
+    token.pqsec("approve", "plan.json", "--key", "pkcs11:token=lab;object=bob", "--yes")
+    token.pqsec("apply", "plan.json", "--yes", "--revoke-most")
+    assert "approved by alice, bob" in token.pqsec("log")
+    assert PIN not in (token.folder / "plan.json").read_text()
