@@ -1,7 +1,7 @@
 """A keystore: created once by `ca init`, and opened by every later command."""
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import field, replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -10,12 +10,18 @@ from typing import TYPE_CHECKING, Self
 
 from pqsec_pki import credentials
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, exists, read
+from pqsec_pki._files import disk_errors, exists, read, read_within
 from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError, located
+from pqsec_pki.errors import (
+    ExistsError,
+    FileError,
+    InterruptedChangeError,
+    KeystoreError,
+    located,
+)
 from pqsec_pki.keystore import _journal, _settings, layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
@@ -317,10 +323,16 @@ class Keystore:
         return exists(path, follow=False) and layout.KEY not in self.keys_outside(name)
 
     def keys_outside(self, name: str) -> frozenset[str]:
-        """The names of the files of that participant that refer to a key in a token."""
-        folder = self._enclave(name)
-        there = (each for each in layout.KEYS if exists(folder / each, follow=False))
-        return frozenset(each for each in there if is_reference(read(folder / each)))
+        """The names of the files of that participant that refer to a key in a token.
+
+        Not of those that cannot be read.
+        """
+        folder, found = self._enclave(name), set()
+        for each in layout.KEYS:
+            with suppress(FileError):
+                if is_reference(read_within(self.root, folder / each, follow=False)):
+                    found.add(each)
+        return frozenset(found)
 
     def _enclave(self, name: str) -> Path:
         return self.root / layout.enclave_folder(layout.enclave_name(name))
