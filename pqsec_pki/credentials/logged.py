@@ -4,8 +4,8 @@ import hashlib
 from collections.abc import Mapping
 
 from pqsec_pki.credentials._pem_files import only_certificate
+from pqsec_pki.credentials.anchors import TrustAnchors
 from pqsec_pki.credentials.names import CERTIFICATE, GOVERNANCE, PERMISSIONS
-from pqsec_pki.credentials.verification import VerifiedCredentials
 from pqsec_pki.errors import PqsecError, VerificationError, problems_of
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.transparency import LedgerProof
@@ -26,24 +26,29 @@ def logged_hashes(files: Mapping[str, bytes]) -> list[tuple[str, str]]:
 
 
 def verify_logged(
-    verified: VerifiedCredentials, proof: LedgerProof | None, *, demanded: bool = False
+    name: str,
+    anchors: TrustAnchors,
+    files: Mapping[str, bytes],
+    proof: LedgerProof | None,
+    *,
+    demanded: bool = False,
 ) -> LedgerProof | None:
-    """The part of `proof` about these credentials: the ledger has the certificate and documents.
+    """The part of `proof` about the certificate and documents in `files`: the ledger has them.
 
     The permissions CA and its countersigner must have signed the ledger's head.
     VerificationError if it does not prove that, or is None and `demanded`.
     """
     if proof is None:
         if demanded:
-            raise VerificationError(missing_proof(verified.name))
+            raise VerificationError(missing_proof(name))
         return None
-    wanted = logged_hashes(verified.files)
     try:
+        wanted = logged_hashes(files)
         own = proof.about(wanted)
-        own.verify([each.public_key for each in verified.anchors.signers], wanted)
+        own.verify([each.public_key for each in anchors.signers], wanted)
     except PqsecError as error:
         found = [Problem(each.message, Code.PROOF_BAD, PROOF) for each in problems_of(error)]
-        raise VerificationError(*(each.of(verified.name) for each in found)) from error
+        raise VerificationError(*(each.of(name) for each in found)) from error
     return own
 
 

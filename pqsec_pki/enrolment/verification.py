@@ -71,7 +71,9 @@ def verify_bundle(
     for each in found:
         try:
             one = verify_credentials(each, now=now)
-            proof = verify_logged(one, bundle.proof, demanded=proof_demanded)
+            proof = verify_logged(
+                one.name, one.anchors, one.files, bundle.proof, demanded=proof_demanded
+            )
             verified.append(one)
             if proof:
                 proofs[each.name] = proof

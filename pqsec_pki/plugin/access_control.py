@@ -49,6 +49,7 @@ class AccessControl:
             found = verify_documents(
                 certificate, anchors, governance=governance, permissions=message, now=now
             )
+            trusted.refuse_unproven(governance, message)
         except VerificationError as error:
             raise trust.refusal(
                 error.problems, trust.places(properties), hint=error.hint

@@ -34,6 +34,8 @@ class AgentSettings:
     """Whether peers run the stack's own plugin: plain keys and key agreements are then accepted."""
     versions: tuple[WireVersion, ...] = _FIRST
     """The versions of messages that a peer may send, the one that we prefer first."""
+    proofs: bool = False
+    """Whether its own certificate and documents must be proven to be in the ledger."""
 
     @classmethod
     def of(cls, certificate: Certificate, source: Source) -> Self:
@@ -41,15 +43,21 @@ class AgentSettings:
 
         UsageError for an invalid file.
         """
-        stock, agreements = OURS, None
+        stock, agreements, proofs = OURS, None, False
         versions: tuple[WireVersion, ...] = _FIRST
         if path := source.beside(FILE):
             with located(path):
-                stock, agreements, versions = _parsed(octets_of(path, limit=MAX_SETTINGS))
+                data = octets_of(path, limit=MAX_SETTINGS)
+                stock, agreements, versions, proofs = _parsed(data)
         if stock == STOCK:
             _refuse_without_plain_key(certificate)
         usual = STOCK_AGREEMENTS if stock == STOCK else _by_keys(certificate)
-        return cls(agreements=agreements or usual, stock_peers=stock == STOCK, versions=versions)
+        return cls(
+            agreements=agreements or usual,
+            stock_peers=stock == STOCK,
+            versions=versions,
+            proofs=proofs,
+        )
 
     def policy(self, certificate: Certificate) -> PeerRequirements:
         """The requirements on peers of the holder of `certificate`."""
@@ -75,27 +83,32 @@ def _refuse_without_plain_key(certificate: Certificate) -> None:
 
 def _parsed(
     text: bytes,
-) -> tuple[str, tuple[KeyAgreement, ...] | None, tuple[WireVersion, ...]]:
+) -> tuple[str, tuple[KeyAgreement, ...] | None, tuple[WireVersion, ...], bool]:
     import tomllib  # noqa: PLC0415 -- few have such a file, and hosts wait for the agent's start
 
     try:
         found = tomllib.loads(text.decode())
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise UsageError(f"not TOML: {error}") from error
-    unknown = sorted(set(found) - {"peers", "key_agreements", "wire_versions"})
+    unknown = sorted(set(found) - {"peers", "key_agreements", "wire_versions", "proofs"})
     peers, names = found.get("peers", OURS), found.get("key_agreements", [])
-    numbers = found.get("wire_versions", [1])
+    numbers, proofs = found.get("wire_versions", [1]), found.get("proofs", False)
     # types first: a list is in no set, and True and 1.0 equal 1
     fits = isinstance(peers, str) and isinstance(names, list) and isinstance(numbers, list)
-    fits = fits and all(type(each) is int for each in numbers) and numbers in _NUMBERS
+    fits = (
+        fits
+        and isinstance(proofs, bool)
+        and all(type(each) is int for each in numbers)
+        and numbers in _NUMBERS
+    )
     if unknown or not fits or peers not in {OURS, STOCK}:
         raise UsageError(
             f"{unknown[0]} is not a setting" if unknown else "a setting has no such value",
             hint=f'peers = "{OURS}" or "{STOCK}"; key_agreements = ["x25519mlkem768"];'
-            " wire_versions = [2, 1]",
+            " wire_versions = [2, 1]; proofs = true",
         )
     try:
         agreements = tuple(KEY_AGREEMENTS.named(str(name).lower()) for name in names) or None
     except PqsecError as error:
         raise UsageError(str(error), hint=error.hint) from error
-    return peers, agreements, tuple(map(WireVersion, numbers))
+    return peers, agreements, tuple(map(WireVersion, numbers)), proofs

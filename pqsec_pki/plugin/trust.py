@@ -18,11 +18,13 @@ from pqsec_pki.credentials import (
     PERMISSIONS,
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
+    PROOF,
     REVOCATION_LIST,
     TrustAnchors,
     distinct,
+    verify_logged,
 )
-from pqsec_pki.errors import PqsecError, UsageError, VerificationError
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located
 from pqsec_pki.plugin import credentials
 from pqsec_pki.plugin.credentials import Properties, Source
 from pqsec_pki.plugin.property_names import REVOCATION_LIST as LIST_PROPERTY
@@ -51,6 +53,8 @@ class ParticipantTrust:
     certificate: Certificate
     settings: AgentSettings
     anchors: TrustAnchors
+    proof: Path | None
+    """The proof beside the certificate, if there is one and it is demanded."""
 
     @classmethod
     def of(cls, properties: Properties, now: datetime) -> Self:
@@ -71,7 +75,23 @@ class ParticipantTrust:
             revocation_list=credentials.revocation_list_at(revoked) if revoked else None,
             stock_peers=settings.stock_peers,
         )
-        return cls(certificate=certificate, settings=settings, anchors=anchors)
+        proof = source.beside(PROOF) if settings.proofs else None
+        return cls(certificate=certificate, settings=settings, anchors=anchors, proof=proof)
+
+    def refuse_unproven(self, governance: bytes, permissions: bytes) -> None:
+        """VerificationError or MalformedError without a proof that holds, if it is demanded."""
+        if not self.settings.proofs:
+            return
+        from pqsec_pki.transparency import LedgerProof  # noqa: PLC0415 -- few demand it
+
+        proof = None
+        if self.proof:
+            with located(self.proof):
+                proof = LedgerProof.from_bytes(credentials.octets_of(self.proof))
+        pem = self.certificate.pem
+        files = {CERTIFICATE: pem, GOVERNANCE: governance, PERMISSIONS: permissions}
+        name = self.certificate.subject_name
+        verify_logged(name, self.anchors, files, proof, demanded=True)
 
 
 def list_source(properties: Properties) -> Source | None:

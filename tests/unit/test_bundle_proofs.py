@@ -18,6 +18,7 @@ from pqsec_pki.transparency import Checkpoint, LedgerProof, TreeHead, leaf_hash
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of
 from tests.unit.keystores import enter, made
 from tests.unit.killing import NOW
+from tests.unit.plugin_wire import RefusedError, Shim, properties
 from tests.unit.test_ledger import entry
 from tests.unit.test_ledger_heads import forget_heads, rewrite
 
@@ -204,10 +205,32 @@ def test_only_proofs_that_hold_are_given(tmp_path):
     assert Bundle.of(keystore, ["/talker"], now=NOW).proof is None
 
 
+def test_the_agent_starts_no_participant_without_a_proof_that_holds(keystore, bundle, robot):
+    put(robot, bundle)
+    folder = robot / f"current/enclaves{ROBOT}"
+    proof = folder / "ledger.proof"
+    good = proof.read_bytes()
+    shim, (pairs, where) = Shim("access_control", NOW), properties(folder)
+    other = Bundle.of(keystore, ["/talker"], now=NOW + DAY).proof.to_bytes()
+    cases = {b"": "not a proof", other: "ledger.proof: no proof for the", None: "it is missing"}
+    for setting in ("", "proofs = true"):
+        (folder / "pqsec.toml").write_text(setting)
+        proof.write_bytes(good)
+        assert shim.call("validate_local_permissions", 1, 0, where, pairs)
+        for data, words in cases.items():
+            proof.unlink() if data is None else proof.write_bytes(data)
+            if setting:
+                with pytest.raises(RefusedError, match=words):
+                    shim.call("validate_local_permissions", 1, 0, where, pairs)
+            else:
+                assert shim.call("validate_local_permissions", 1, 0, where, pairs)
+
+
 def test_a_proof_is_checked_against_the_verified_files(keystore, bundle):
     verified = verify_credentials(Credentials.of(ROBOT, bundle.enclaves[ROBOT]), now=NOW)
-    assert verify_logged(verified, bundle.proof) == bundle.proof
-    assert verify_logged(verified, None) is None
+    known = (ROBOT, verified.anchors, verified.files)
+    assert verify_logged(*known, bundle.proof) == bundle.proof
+    assert verify_logged(*known, None) is None
     with pytest.raises(VerificationError):
-        verify_logged(verified, None, demanded=True)
+        verify_logged(*known, None, demanded=True)
     assert isinstance(bundle.proof.checkpoint.head, TreeHead)

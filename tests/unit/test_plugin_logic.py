@@ -71,6 +71,7 @@ def test_an_identity_asks_for_the_key_agreement_of_its_profile(folders, profile)
         ("wire_versions = [true, 2]", "a setting has no such value"),
         ("wire_versions = [2.0]", "a setting has no such value"),
         ("peers = []", "a setting has no such value"),
+        ("proofs = 1", "a setting has no such value"),
         ("[peers]", "a setting has no such value"),
         ("peers = 'stock'", "accepts no ml-dsa-65 key"),
     ],

@@ -66,7 +66,7 @@ MAY_IMPORT: dict[str, set[str]] = {
     "inspection": {"documents", "smime", "certificates", "algorithms", "tokens"},
     "plugin": {
         *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
-        "tokens",
+        *("tokens", "transparency"),
     },
     "selfcheck": {
         *("handshake", "access", "documents", "smime", "certificates", "algorithms"),
