@@ -8,7 +8,7 @@ import pytest
 
 from pqsec_pki.errors import FileError, MalformedError, VerificationError
 from pqsec_pki.keystore import Keystore, Ledger, SigningCa, audit, checked_head, write_anchor
-from pqsec_pki.keystore._chain import link
+from pqsec_pki.keystore._chain import START, link
 from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.lifecycle import Rollover, Scope, change_passphrase, renew, revoke, sign_head
 from pqsec_pki.transparency import Checkpoint, HeadExtension, MerkleTree, leaf_of
@@ -39,7 +39,7 @@ def problems(keystore, anchors=None):
 def rewrite(keystore, first, **changes):
     """What somebody does who can write the ledger, and makes its chain whole again."""
     lines = keystore.lines()
-    before = lines[first - 2].chain
+    before = lines[first - 2].chain if first > 1 else START
     with database(keystore) as opened:
         opened.execute("DROP TRIGGER ledger_stays")
         for line in lines[first - 1 :]:
@@ -154,6 +154,14 @@ def test_a_tree_that_does_not_fit_the_head_is_not_extended(keystore):
 def test_a_rewritten_line_with_a_whole_chain_is_found(keystore):
     rewrite(keystore, 5, name="/evil")
     assert f"lines 1 to {size(keystore)} are not those of which" in problems(keystore)
+
+
+def test_a_ledger_that_begins_with_another_line_is_another_one(keystore):
+    before = read_head(keystore.root)
+    rewrite(keystore, 1, operator="somebody else")
+    assert "the head of another ledger: pqsec-ledger/" in problems(keystore)
+    add(keystore, more="0")  # with the subtrees as they are, no older line is read
+    assert read_head(keystore.root) == before
 
 
 def test_another_operator_in_a_line_is_found(keystore):
@@ -286,6 +294,16 @@ def test_anchors_tell_of_a_fork(keystore, anchors, tmp_path):
     assert f"fork: the CAs signed this head, and later one over other lines {whole + 1} to" in told
     with pytest.raises(VerificationError, match="fork"):
         write_anchor(other, anchors)
+
+
+def test_the_head_of_another_ledger_of_the_same_cas_is_found(keystore, anchors):
+    anchor = write_anchor(keystore, anchors)
+    keys = [each.key for each in keystore.unlock(None).signers]
+    other = Checkpoint.signed(replace(anchor.head, origin="pqsec-ledger/other"), keys)
+    anchor.path.write_bytes(HeadExtension(other, 0, ()).to_bytes())
+    assert "the head of another ledger: pqsec-ledger/other instead of" in problems(
+        keystore, anchors
+    )
 
 
 def test_a_missing_or_planted_anchor_is_found(keystore, anchors, tmp_path):

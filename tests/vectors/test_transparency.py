@@ -4,7 +4,7 @@ import base64
 
 import pytest
 
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.transparency import (
     EMPTY,
     Checkpoint,
@@ -100,6 +100,14 @@ def test_inclusion(tree, index, size):
     assert root_by_inclusion(leaf_hash(LEAVES[index]), index, size, path).hex() == ROOTS[size]
 
 
+@pytest.mark.parametrize(("index", "size"), [*PATHS, (0, 1)])
+def test_an_inclusion_proof_with_one_hash_more_is_refused(tree, index, size):
+    leaf, path = leaf_hash(LEAVES[index]), tree.inclusion(index, size)
+    assert root_by_inclusion(leaf, index, size, path) == tree.root(size)
+    with pytest.raises(VerificationError, match="too long"):
+        root_by_inclusion(leaf, index, size, [leaf, *path])
+
+
 @pytest.mark.parametrize(("old", "new"), STEPS)
 def test_consistency(tree, old, new):
     steps = [bytes.fromhex(each) for each in STEPS[old, new]]
@@ -112,6 +120,11 @@ def test_the_checkpoint_of_the_specification():
     assert (found.head.origin, found.head.size) == ("example.com/behind-the-sofa", 20852163)
     assert base64.b64encode(found.head.root) == b"CsUYapGGPo4dkMgIAUqom/Xajj7h2fB2MPA3j2jxq2I="
     assert found.to_bytes() == CHECKPOINT
+
+
+def test_a_checkpoint_that_nobody_must_have_signed_is_refused():
+    with pytest.raises(VerificationError, match="no key to verify"):
+        Checkpoint.from_bytes(CHECKPOINT).verify([])
 
 
 def test_the_request_of_the_specification():
