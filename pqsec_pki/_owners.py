@@ -11,6 +11,12 @@ import pwd
 import stat
 from functools import cache
 
+from pqsec_pki.errors import UsageError
+
+OPERATOR = "PQSEC_OPERATOR"
+MAX_OPERATOR = 64
+"""Characters."""
+
 
 def outsider(found: os.stat_result, *, roots: bool = False, sticky: bool = False) -> str:
     """Which other user could change the file with the status `found`, in words; empty if none.
@@ -46,6 +52,17 @@ def user(number: int) -> str:
         return pwd.getpwuid(number).pw_name
     except KeyError:
         return f"uid {number}"
+
+
+def operator() -> str:
+    """Who runs this process, for records that stay: PQSEC_OPERATOR, else the user's name.
+
+    UsageError for a value that is too long or not printable.
+    """
+    chosen = os.environ.get(OPERATOR, "")
+    if len(chosen) > MAX_OPERATOR or not chosen.isprintable():
+        raise UsageError(f"{OPERATOR} is not a name of up to {MAX_OPERATOR} printable characters")
+    return chosen or user(os.getuid())
 
 
 @cache

@@ -43,7 +43,8 @@ class Entry:
     """By kind: profile and domains of a participant, reason of a revocation, number of a
     revocation list."""
     operator: str | None = None
-    """The system's name of the user who ran the command; None in lines of format 1."""
+    """Who ran the command: PQSEC_OPERATOR, or the system's name of the user; None in lines of
+    format 1."""
 
     @property
     def made_at(self) -> datetime:

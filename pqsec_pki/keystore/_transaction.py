@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
-from pqsec_pki._owners import user
+from pqsec_pki._owners import operator
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _ledger, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
@@ -114,14 +114,14 @@ class Transaction:
     def record(self, *entries: Entry) -> None:
         """Add entries for the ledger, written with the change.
 
-        KeystoreError if the ledger cannot be written.
+        KeystoreError if the ledger cannot be written; UsageError as of `operator`.
         """
         if not self.entries:
             # A keystore has a ledger; a keystore that is being adopted has none.
             self.begins_ledger = self.root.kind(layout.SETTINGS) is None
             _check_ledger(self.root, begin=self.begins_ledger)
-        operator = user(os.getuid())
-        self.entries += [replace(entry, operator=operator) for entry in entries]
+        name = operator()
+        self.entries += [replace(entry, operator=name) for entry in entries]
 
     def sign_head(self) -> None:
         """Stage the head of the ledger with the new lines, if the signers' keys were opened."""

@@ -27,6 +27,7 @@ ENVIRONMENT = {
     "ROS_SECURITY_KEYSTORE": "The keystore, if neither -k nor PQSEC_KEYSTORE names one.",
     "PQSEC_PASSPHRASE_FILE": "The file with the CA passphrase, if --passphrase-file names none.",
     "PQSEC_PIN_FILE": "The file with the PIN of the tokens, for keys whose URIs name no file.",
+    "PQSEC_OPERATOR": "The name for the ledger.  [default: the system's name of the user]",
     "PQSEC_PKCS11_MODULE": "The library of the tokens.  [default: p11-kit's]",
 }
 EXIT_CODES = {

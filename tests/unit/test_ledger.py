@@ -13,7 +13,7 @@ from datetime import timedelta
 import pytest
 
 from pqsec_pki import _owners
-from pqsec_pki.errors import FileError, KeystoreError, VerificationError
+from pqsec_pki.errors import FileError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, status
 from pqsec_pki.keystore._chain import START
 from pqsec_pki.keystore._folder import Folder
@@ -98,6 +98,17 @@ def test_a_user_whom_the_system_does_not_name_is_a_number(keystore, monkeypatch)
     add(keystore, later="0")
     _owners.user.cache_clear()
     assert keystore.ledger()[-1].operator == f"uid {os.getuid()}"
+
+
+def test_the_name_for_the_ledger_can_be_chosen(keystore, monkeypatch):
+    monkeypatch.setenv("PQSEC_OPERATOR", "officer 7")
+    add(keystore, later="0")
+    assert keystore.ledger()[-1].operator == "officer 7"
+    for bad in ("x" * 65, "a\nb", "a\x1bb"):
+        monkeypatch.setenv("PQSEC_OPERATOR", bad)
+        with pytest.raises(UsageError, match="PQSEC_OPERATOR is not a name"):
+            add(keystore, last="0")
+    assert not keystore.has("/last")
 
 
 def test_each_line_names_the_one_before(keystore):

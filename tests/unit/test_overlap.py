@@ -90,7 +90,7 @@ def takes(folder, other):
 
 
 def snapshot(root):
-    files = [path for path in root.rglob("*") if path.is_file() and "sqlite" not in path.name]
+    files = [path for path in root.rglob("*") if path.is_file() and "ledger." not in path.name]
     return {path.relative_to(root): path.read_bytes() for path in files}
 
 
