@@ -4,7 +4,7 @@ The ledger gets a line for the plan and one for each approval before the first c
 is interrupted, the same file goes on: the lines since then tell which steps are done.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 
@@ -18,7 +18,7 @@ from pqsec_pki.errors import KeystoreError, VerificationError
 from pqsec_pki.keystore import Keystore, Line, approval_entries, change, lines_since
 from pqsec_pki.problems import Code
 
-_LINES = {
+_LINES: Mapping[str, str] = {
     StepAction.CHANGE_PROFILE: "identity-ca",
     StepAction.SIGN_GOVERNANCE: "governance",
     StepAction.ISSUE: "participant",
@@ -30,7 +30,6 @@ _LINES = {
     StepAction.STORE_APPROVALS: "approvals",
 }
 """The kind of line that each step leaves in the ledger; groups leave none."""
-_WORDS = {str(action): kind for action, kind in _LINES.items()}
 _AGAIN = "make a new plan, and let it be approved"
 
 
@@ -81,7 +80,7 @@ def approved_plan(
     if since is None:
         _refuse_other_state(proposal, keystore.head)
     left = proposal.steps if since is None else tuple(_left(proposal, since))
-    if since is not None and not any(step.action in _WORDS for step in left):
+    if since is not None and not any(step.action in _LINES for step in left):
         raise VerificationError("the plan was applied already", hint="`pqsec log` shows it")
     review = _reviewed(proposal, left, desired, keystore, now)
     if since is None and (review.rights, _needs(review)) != (proposal.rights, proposal.needs):
@@ -113,7 +112,7 @@ def _left(proposal: PlanProposal, since: Sequence[Line]) -> Iterator[ProposedSte
     done = {(line.entry.kind, line.entry.name) for line in since}
     done |= {(kind, "") for kind, _ in done if kind == _LINES[StepAction.CHANGE_PROFILE]}
     for step in proposal.steps:
-        if (_WORDS.get(step.action), step.name) not in done:
+        if (_LINES.get(step.action), step.name) not in done:
             yield step
 
 

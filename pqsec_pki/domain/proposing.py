@@ -77,7 +77,7 @@ class PlanReview:
     def _differences(self) -> Mapping[str, Difference]:
         """By participant; of the governance under an empty name."""
         found: dict[str, Difference] = {}
-        if any(self._named(StepAction.SIGN_GOVERNANCE)):
+        if [*self._named(StepAction.SIGN_GOVERNANCE)]:
             found[""] = changed_protection(self.keystore, self.desired.governance)
         for name in self._named(StepAction.ISSUE, StepAction.REPLACE):
             [grant] = self.desired.members[name].spec().grants

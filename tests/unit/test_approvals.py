@@ -3,7 +3,6 @@
 import json
 import re
 import subprocess
-from base64 import b64encode
 from dataclasses import replace
 from datetime import timedelta
 
@@ -22,7 +21,7 @@ from pqsec_pki.approvals._canonical import canonical
 from pqsec_pki.approvals.approval import LABEL
 from pqsec_pki.documents import Governance
 from pqsec_pki.domain import apply as apply_domain
-from pqsec_pki.domain import import_domain, read_domain
+from pqsec_pki.domain import change_profile, import_domain, read_domain
 from pqsec_pki.errors import (
     InvalidDocumentError,
     KeystoreError,
@@ -30,7 +29,8 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import audit
+from pqsec_pki.keystore import audit, policy_entry
+from pqsec_pki.keystore.approving import policy_in
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
@@ -123,6 +123,46 @@ def test_a_plan_of_such_changes_needs_its_proposer_only(council):
     assert len(council.decide(proposal, first)) == 3
 
 
+def test_governance_that_protects_less_needs_them_and_one_that_protects_more_does_not(council):
+    council.change("name: Lab", "name: Lab\ngovernance: authenticated")
+    assert council.steps() == [("sign-governance", "")]
+    with pytest.raises(KeystoreError, match="rights that grow"):
+        apply_domain(council.desired, council.root, passphrase=None, now=NOW)
+    proposal, first = council.proposed()
+    [change] = proposal.rights
+    assert change.names == ()
+    assert any(each.startswith("weaker: ") for each in change.changes)
+    given = first, council.approval(proposal, "bob")
+    assert council.decide(proposal, *given) == [("sign-governance", "")]
+    refused(council, proposal, *given, words="was applied already")
+    council.change("authenticated", "strict")
+    apply_domain(council.desired, council.root, passphrase=None, now=NOW)
+    assert council.plan().in_order
+
+
+def test_new_participants_new_keys_and_another_profile_need_them(tmp_path):
+    council = Council(tmp_path)
+    council.change("1..3", "1..4")
+    proposal, first = council.proposed()
+    assert (proposal.needs, proposal.rights[0].names) == ((Covered.GROW,), ("/r4",))
+    assert "granted: join on domain 0" in proposal.rights[0].changes
+    council.decide(proposal, first, council.approval(proposal, "bob"))
+    council.file_of("/r2", "cert.pem").unlink()
+    proposal, _ = council.proposed()
+    assert [step.action for step in proposal.steps] == ["replace"]
+    assert proposal.needs == (Covered.GROW,)
+    council.change("profile: classical", "profile: transition\nmigrate_from: classical")
+    proposal, first = council.proposed()
+    assert [step.action for step in proposal.steps] == ["change-profile"]
+    assert proposal.needs == (Covered.ROTATE,)
+    given = first, council.approval(proposal, "bob")
+    begun = council.approved(proposal, *given).begin(NOW)
+    change_profile(council.desired, begun.keystore, begun.plan, passphrase=None, now=NOW)
+    assert council.keystore.profile.name == "transition"
+    assert council.keystore.approvals == council.desired.approvals
+    refused(council, proposal, *given, words="was applied already|another")
+
+
 def test_with_all_every_change_needs_them(tmp_path):
     council = Council(tmp_path, DOMAIN.replace("{required", "{for: all, required"))
     assert council.keystore.approvals.covers == frozenset(Covered)
@@ -138,6 +178,23 @@ def test_with_all_every_change_needs_them(tmp_path):
         store_groups(council.keystore, {"all": ("/r1",)})
     proposal, first = council.proposed()
     assert len(council.decide(proposal, first, council.approval(proposal, "bob"))) == 3
+    council.change("validity: 90d", "validity: 90d\ngroups: {all: '/*'}")
+    later = NOW + 80 * DAY
+    proposal, first = council.proposed(now=later)
+    given = first, council.approval(proposal, "bob")
+    made = council.decide(proposal, *given, now=later)
+    assert {action for action, _ in made} == {"store-groups", "renew"}
+    assert council.keystore.groups == {"all": ("/r1", "/r2", "/r3")}
+
+
+def test_groups_alone_are_stored_once(tmp_path):
+    """They leave no line in the ledger: the plan itself is the line."""
+    council = Council(tmp_path, DOMAIN.replace("{required", "{for: all, required"))
+    council.change("validity: 90d", "validity: 90d\ngroups: {all: '/*'}")
+    proposal, first = council.proposed()
+    given = first, council.approval(proposal, "bob")
+    assert council.decide(proposal, *given) == [("store-groups", "")]
+    refused(council, proposal, *given, words="was applied already")
 
 
 # What is covered
@@ -569,10 +626,12 @@ def test_one_key_in_two_encodings_is_one(keys):
         ApprovalPolicy.of(2, [], {"alice": key, "bob": other})
 
 
-def test_a_damaged_policy_in_the_ledger_opens_nothing(council):
-    for text in ("{", '{"required": 0}', b64encode(b"x").decode()):
-        with pytest.raises(MalformedError):
-            ApprovalPolicy.from_text(text)
+@pytest.mark.parametrize("details", [{}, {"statement": "{"}, {"statement": '{"required": 0}'}])
+def test_a_damaged_policy_in_the_ledger_opens_nothing(details):
+    entry = policy_entry(None, "0" * 64, NOW)
+    assert policy_in(entry) is None
+    with pytest.raises(KeystoreError, match="the ledger's line on approvals is damaged"):
+        policy_in(replace(entry, details=details))
 
 
 @pytest.mark.parametrize("kinds", ["", "for: all, ", "for: [rotate], "])
