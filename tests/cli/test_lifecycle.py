@@ -196,6 +196,45 @@ def test_log_verify_answers_by_its_exit_code(pqsec, k):
     assert (bad.code, json.loads(bad.out)["ok"]) == (1, False)
 
 
+def test_log_keeps_signed_heads_and_compares_the_ledger_with_them(pqsec, k, tmp_path):
+    first = pqsec("-k k log --anchor anchors --json").done().json
+    assert (first["unsigned"], first["already"]) == (0, False)
+    assert first["anchor"] == f"anchors/{first['size']:09}.checkpoint"
+    assert "was already there" in pqsec("-k k log --anchor anchors").done().out
+    pqsec("-k k revoke /talker --yes")
+    told = pqsec("-k k log --anchor anchors").done()
+    assert "2 newer lines are in no signed head: `pqsec log --sign` signs one" in told.err
+    signed = pqsec("-k k log --sign --json").done().json
+    assert signed["size"] == first["size"] + 2
+    assert pqsec("-k k log --sign --anchor anchors --json").done().json["size"] == signed["size"]
+    pqsec("-k k log --verify --anchor anchors").done()
+    pqsec("-k k log --verify --anchor nowhere").refused(3, "nowhere is not a folder")
+    for wrong in (
+        "--sign --verify",
+        "--anchor anchors /talker",
+        "--sign --csv",
+        "--sign --since 1d",
+    ):
+        assert pqsec(f"-k k log {wrong}").code == 2, wrong
+
+
+def test_log_tells_of_a_ledger_that_differs_from_what_was_signed(pqsec, k):
+    pqsec("-k k log --anchor anchors").done()
+    pqsec("-k k issue /third --publish x").done()
+    whole = pqsec("-k k log --anchor anchors --json").done().json["size"]
+    with closing(sqlite3.connect(k / "private/ledger.sqlite3")) as database:
+        database.execute("DROP TRIGGER ledger_remains")
+        database.execute("DELETE FROM ledger WHERE number > ?", (whole - 1,))
+        database.commit()
+    for line in ("log --sign", "log --anchor anchors"):
+        pqsec(f"-k k {line}").refused(1, "the end was cut off")
+    found = pqsec("-k k log --verify --anchor anchors --json")
+    assert found.code == 1
+    assert any("those up to" in each for each in json.loads(found.out)["problems"])
+    note = pqsec("-k k bundle /third --plain-key").done().err
+    assert "without proof that the ledger has the documents" in note
+
+
 def test_a_file_that_all_share_and_that_is_lost_is_named_from_where_the_user_is(pqsec, k):
     """The way out named what the link holds: restore ../governance.p7s."""
     (k / "enclaves/governance.p7s").unlink()

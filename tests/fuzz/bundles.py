@@ -17,6 +17,7 @@ from pathlib import Path
 
 from pqsec_pki.algorithms import SealingPrivateKey, profile_named
 from pqsec_pki.certificates import certificate_request
+from pqsec_pki.credentials import Credentials, logged_hashes, verify_logged
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.enrolment import (
     Bundle,
@@ -31,9 +32,11 @@ from pqsec_pki.enrolment import (
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, revoke
+from pqsec_pki.transparency import HeadExtension, LedgerProof
 from tests.fuzz import mutation
 from tests.unit.keystores import DAY, NOW, made
 
+FILES = ("cert.pem", "permissions.p7s", "governance.p7s")
 NAME = "/fleet/robot1"
 ROBOTS = (NAME, "/fleet/arm")
 MANIFEST = "manifest.json"
@@ -111,6 +114,28 @@ def take_bundle(data):
 
 def certified(pem):
     return b"".join(pem.split(b"-----")[2].split())
+
+
+def take_proof(data):
+    """It holds for what it was made for, whatever else is in it, or it is refused."""
+    credentials = Credentials.of(NAME, bundle().enclaves[NAME])
+    files = {each: bundle().enclaves[NAME][each] for each in FILES}
+    own = verify_logged(NAME, credentials.anchors, files, LedgerProof.from_bytes(data))
+    assert own.checkpoint.head == bundle().proof.checkpoint.head
+    assert {each.sha256 for each in own.lines} == {sha256 for _, sha256 in logged_hashes(files)}
+
+
+def head():
+    checkpoint = bundle().proof.checkpoint
+    return HeadExtension(checkpoint, 3, (checkpoint.head.root,) * 3).to_bytes()
+
+
+def take_head(data):
+    """The CAs signed exactly this, or it is refused."""
+    found = HeadExtension.from_bytes(data)
+    signers = (keystore().permissions_ca, keystore().countersigner)
+    found.checkpoint.verify([each.public_key for each in signers])
+    assert found.head == bundle().proof.checkpoint.head
 
 
 def take_sealed(data):
@@ -305,4 +330,6 @@ TARGETS = {
     "sign-request": (take_request, lambda: [asked()], spoilt),
     "sign-answer": (take_answer, lambda: [answer()], spoilt),
     "receipt": (take_receipt, lambda: [receipt()], spoilt),
+    "ledger-proof": (take_proof, lambda: [bundle().proof.to_bytes()]),
+    "tree-head": (take_head, lambda: [head()]),
 }

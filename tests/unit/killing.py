@@ -24,7 +24,7 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
-from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.keystore import Keystore, audit, checked_head
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.smime import Require, verify
 from tests.longer import LONG
@@ -194,6 +194,7 @@ def check_ledger(keystore: Keystore) -> None:
     """The last lines on each name are what lies in its folder, and there are no others."""
     audit(keystore)
     entries = keystore.ledger()
+    assert checked_head(keystore).head.size == len(entries)  # a line and its head come together
     assert [entry.kind for entry in entries[:4]] == [
         "identity-ca",
         "permissions-ca",
