@@ -70,6 +70,7 @@ def night(tmp_path_factory, requires):
     )
     (shared / "inside.sh").write_text(INSIDE.format(install=install))
     given = [f"{place}={path}" for place, path in places.items()]
+    (shared / "out").touch()
     subprocess.run(
         ["bash", BOOTED, shared, f"python={sys.base_prefix}", *given], timeout=280, check=False
     )
