@@ -2,8 +2,9 @@
 
 import gc
 
-# Most commands end before a collection finds anything; importing alone would cause dozens of them.
-gc.set_threshold(100_000)
+# Most commands end before a collection finds anything. Importing alone would cause dozens of them;
+# those of a report of 2,000 participants took 6 % of it, and left it as large.
+gc.set_threshold(500_000)
 
 from pqsec_pki.cli import main  # noqa: E402 -- after that
 
