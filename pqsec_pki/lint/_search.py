@@ -26,7 +26,7 @@ JOURNAL, LEDGER = ".journal", "private/ledger.sqlite3"
 
 # In a folder, only files with such a name are read, including backup copies (key.pem~).
 _RELEVANT = re.compile(
-    r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml)(?![A-Za-z0-9])", re.IGNORECASE
+    r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml|proof)(?![A-Za-z0-9])", re.IGNORECASE
 )
 _DRAFT = re.compile(r"\.draft-[0-9a-f]{16}")
 _TWO_OF_SIX = 2

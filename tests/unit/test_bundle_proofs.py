@@ -13,6 +13,7 @@ from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.lifecycle import renew
+from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint, LedgerProof, TreeHead, leaf_hash
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of
@@ -224,6 +225,20 @@ def test_the_agent_starts_no_participant_without_a_proof_that_holds(keystore, bu
                     shim.call("validate_local_permissions", 1, 0, where, pairs)
             else:
                 assert shim.call("validate_local_permissions", 1, 0, where, pairs)
+
+
+def test_check_finds_a_proof_that_does_not_hold(keystore, bundle, robot):
+    put(robot, bundle)
+    proof = robot / f"current/enclaves{ROBOT}/ledger.proof"
+    other = Bundle.of(keystore, ["/talker"], now=NOW + DAY).proof.to_bytes()
+    for data, words in ((None, ""), (other, "no proof for the"), (b"x", "not a proof")):
+        if data:
+            proof.write_bytes(data)
+        found = check([robot / "current/"], now=NOW).findings
+        told = [each for each in found if each.rule.id == "PQS319"]
+        assert all(words in str(each.message) for each in told)
+        assert bool(told) is (data is not None)
+        assert {each.path.name for each in told} <= {"ledger.proof", ROBOT.rpartition("/")[2]}
 
 
 def test_a_proof_is_checked_against_the_verified_files(keystore, bundle):

@@ -74,7 +74,8 @@ MAY_IMPORT: dict[str, set[str]] = {
     },
 }
 MAY_IMPORT["lint"] = {
-    *("algorithms", "certificates", "smime", "documents", "access", "handshake", "keystore")
+    *("algorithms", "certificates", "smime", "documents", "access", "handshake", "keystore"),
+    "transparency",
 }
 MAY_IMPORT["enrolment"] = MAY_IMPORT["lifecycle"] | {"lifecycle", "transparency"}
 MAY_IMPORT["policy"] = {"keystore", "access"} | MAY_IMPORT["keystore"]

@@ -9,12 +9,21 @@ from dataclasses import replace
 from pathlib import Path
 
 from pqsec_pki.algorithms import is_encrypted
-from pqsec_pki.credentials import ENCLAVES, FILES, KEYS, Credentials, verify_credentials
-from pqsec_pki.errors import PqsecError, problems_of
+from pqsec_pki.credentials import (
+    ENCLAVES,
+    FILES,
+    KEYS,
+    PROOF,
+    Credentials,
+    verify_credentials,
+    verify_logged,
+)
+from pqsec_pki.errors import PqsecError, located, problems_of
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Finding, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 from pqsec_pki.problems import Code, Problem
+from pqsec_pki.transparency import LedgerProof
 
 ID = "PQS319"
 _REVOKED_IN_KEYSTORE = "PQS149"
@@ -73,7 +82,7 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
 )  # fmt: skip
 def cannot_be_trusted(enclave: EnclaveFolder) -> Iterator[Violation]:
     for problem in _problems(enclave):
-        files = (file for file in FILES if problem.subject == f"{enclave.name}: {file}")
+        files = (file for file in (*FILES, PROOF) if problem.subject == f"{enclave.name}: {file}")
         path = next((enclave.folder / file for file in files), None)
         text = str(replace(problem, subject="") if path else problem)
         yield Violation(text, path=path, code=problem.code)
@@ -119,7 +128,12 @@ def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
         yield Problem("the link is broken", Code.FILE_MISSING, name).of(enclave.name)
     try:
         credentials = Credentials.of(enclave.name, _files(enclave), anchors=enclave.anchors)
-        verify_credentials(credentials, now=enclave.now)
+        verified = verify_credentials(credentials, now=enclave.now)
+        proof = enclave.files.get(PROOF)
+        if proof and not proof.unreadable:
+            with located(PROOF):
+                found = LedgerProof.from_bytes(proof.data)
+            verify_logged(enclave.name, verified.anchors, verified.files, found)
     except PqsecError as error:
         named = ENCLAVES in enclave.folder.parts  # elsewhere the folder's name means nothing
         for each in problems_of(error):
