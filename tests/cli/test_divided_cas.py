@@ -108,8 +108,8 @@ def test_who_was_only_certified_has_no_rights_yet_and_commands_say_so(machines, 
     pqsec(f"-k {PERMISSIONS} permit /arm --publish x --yes").refused(3, "/arm")  # not carried yet
 
 
-def test_what_has_no_rights_yet_cannot_be_renewed(domains, pqsec):
-    k = domains("classical")
+def test_what_has_no_rights_yet_cannot_be_renewed(keystore, pqsec):
+    k = keystore()
     pqsec(f"-k {k} issue /arm --certificate-only").done()
     renewed = pqsec(f"-k {k} renew /arm")
     renewed.refused(3, "no permissions were signed for /arm yet", hint="pqsec permit /arm")
