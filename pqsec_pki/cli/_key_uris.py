@@ -104,6 +104,9 @@ def keys(
 @contextmanager
 def participants_own(profile: "Profile", uris: Uris) -> Iterator[dict[str, "PrivateKey"]]:
     """The keys with the URIs, found or made, for a participant; errors as of `requests`."""
+    if not uris:
+        yield {}
+        return
     from pqsec_pki.enrolment import key_places  # noqa: PLC0415 -- not for --help
     from pqsec_pki.tokens import participant_keys  # noqa: PLC0415 -- not for --help
 
