@@ -42,8 +42,11 @@ class PlanReview:
 
     @cached_property
     def kinds(self) -> frozenset[Covered]:
-        """The kinds of its changes."""
-        return frozenset(map(self._kind, self.plan.steps))
+        """The kinds of its changes; one document that grows is enough for all that are signed."""
+        found = {_KINDS.get(step.action, Covered.OTHER) for step in self.plan.steps}
+        if Covered.GROW not in found and any(grows(each) for _, each in self._signed()):
+            found.add(Covered.GROW)
+        return frozenset(found)
 
     @cached_property
     def steps(self) -> tuple[ProposedStep, ...]:
@@ -62,29 +65,24 @@ class PlanReview:
     def rights(self) -> tuple[ChangedRights, ...]:
         """The changes of rights, each with all who have it."""
         alike: dict[tuple[str, ...], list[str]] = {}
-        for name, difference in self._differences.items():
+        for name, difference in (*self._issued(), *self._signed()):
             alike.setdefault(tuple(_words(difference)), []).append(name)
         return tuple(
             ChangedRights(tuple(filter(None, names)), changes) for changes, names in alike.items()
         )
 
-    def _kind(self, step: Step) -> Covered:
-        if step.action in {StepAction.SIGN_PERMISSIONS, StepAction.SIGN_GOVERNANCE}:
-            return Covered.GROW if grows(self._differences[step.name]) else Covered.OTHER
-        return _KINDS.get(step.action, Covered.OTHER)
-
-    @cached_property
-    def _differences(self) -> Mapping[str, Difference]:
-        """By participant; of the governance under an empty name."""
-        found: dict[str, Difference] = {}
-        if [*self._named(StepAction.SIGN_GOVERNANCE)]:
-            found[""] = changed_protection(self.keystore, self.desired.governance)
+    def _issued(self) -> Iterator[tuple[str, Difference]]:
         for name in self._named(StepAction.ISSUE, StepAction.REPLACE):
             [grant] = self.desired.members[name].spec().grants
-            found[name] = permissions_diff(None, Permissions(grants=(grant,)))
-        signed = [*self._named(StepAction.SIGN_PERMISSIONS)]
-        specs = [self.desired.members[name].spec() for name in signed]
-        return found | changed_rights(self.keystore, specs, now=self.now)
+            yield name, permissions_diff(None, Permissions(grants=(grant,)))
+
+    def _signed(self) -> Iterator[tuple[str, Difference]]:
+        """By participant; the governance has an empty name."""
+        for name in self._named(StepAction.SIGN_GOVERNANCE):
+            yield name, changed_protection(self.keystore, self.desired.governance)
+        names = self._named(StepAction.SIGN_PERMISSIONS)
+        if specs := [self.desired.members[name].spec() for name in names]:
+            yield from changed_rights(self.keystore, specs, now=self.now)
 
     def _named(self, *actions: StepAction) -> Iterator[str]:
         return (step.name for step in self.plan.steps if step.action in actions)

@@ -3,7 +3,7 @@
 What cannot be compared, because the old files are missing, damaged or not the newest, grows.
 """
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from datetime import datetime
 
@@ -27,12 +27,16 @@ def grows(difference: Difference) -> bool:
 
 def changed_rights(
     keystore: Keystore, specs: Sequence[ParticipantSpec], *, now: datetime
-) -> dict[str, Difference]:
-    """What new permissions by `specs` change for these participants, by name."""
+) -> Iterator[tuple[str, Difference]]:
+    """The name of each of these participants, and what new permissions by its spec change.
+
+    A comparison takes some milliseconds: it is made when it is asked for.
+    """
     names = [layout.enclave_name(spec.name) for spec in specs]
     with keystore.open_ledger() as ledger:
         inspector = Inspector.of(keystore, ledger, names, now=now)
-    return {name: _changed(inspector, name, spec) for name, spec in zip(names, specs, strict=True)}
+    for name, spec in zip(names, specs, strict=True):
+        yield name, _changed(inspector, name, spec)
 
 
 def _changed(inspector: Inspector, name: str, spec: ParticipantSpec) -> Difference:

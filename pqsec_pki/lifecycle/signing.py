@@ -42,7 +42,9 @@ def sign_permissions(
     """
     names = [layout.enclave_name(spec.name) for spec in specs]
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
-        refuse_growth(keystore, lambda: changed_rights(keystore, specs, now=now).values())
+        refuse_growth(
+            keystore, lambda: (each for _, each in changed_rights(keystore, specs, now=now))
+        )
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]

@@ -176,6 +176,15 @@ def test_commands_that_are_covered_are_refused_with_the_way_out(run, line):
     assert run("log --json").out == before
 
 
+def test_nothing_is_applied_if_a_part_needs_approvals(run):
+    """Rights that shrink come before the revocation, and need none."""
+    text = DOMAIN.replace("subscribe: [rt/cmd]", "subscribe: []").replace("1..3", "1..2")
+    (run.folder / "domain.yaml").write_text(text)
+    before = run("log --json").out
+    run("apply --prune --yes").refused(3, "approvals are needed for revocation")
+    assert run("log --json").out == before
+
+
 def test_what_is_not_covered_is_done_as_before(run):
     run("permit /r1 --remove --subscribe rt/cmd --yes").done()
     run("renew /r2").done()

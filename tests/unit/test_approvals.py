@@ -232,6 +232,17 @@ def test_no_operation_goes_around_the_policy(council):
     sign_governance(keystore, cas, governance, now=NOW)
 
 
+def test_nothing_of_a_domain_file_is_applied_if_a_part_needs_approvals(council):
+    """Rights that shrink come before the revocation, and need none."""
+    council.change("subscribe: [rt/cmd]", "subscribe: []")
+    council.change("1..3", "1..2")
+    council.change("validity", "prune: true\nvalidity")
+    before = council.kinds()
+    with pytest.raises(KeystoreError, match="revocation"):
+        apply_domain(council.desired, council.root, passphrase=None, now=NOW)
+    assert council.kinds() == before
+
+
 def test_rights_whose_old_files_are_damaged_count_as_grown(council):
     path = council.file_of("/r1", "permissions.p7s")
     path.write_bytes(path.read_bytes().replace(b"rt/cmd", b"rt/cmx"))
