@@ -8,6 +8,7 @@ from datetime import timedelta
 
 import pytest
 
+from pqsec_pki.access import Difference
 from pqsec_pki.algorithms import SIGNATURES, load_public_key, pem, unpem
 from pqsec_pki.approvals import (
     ApprovalPolicy,
@@ -29,13 +30,14 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import audit, policy_entry
+from pqsec_pki.keystore import audit, policy_entry, signed_governance
 from pqsec_pki.keystore.approving import policy_in
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
     Rollover,
     apply_rollover,
+    grows,
     issue,
     plan_rollover,
     renew,
@@ -257,6 +259,23 @@ def test_permissions_widened_by_hand_do_not_hide_growth(council):
     council.change("subscribe: [rt/cmd]", "subscribe: ['rt/*']")
     with pytest.raises(KeystoreError, match="rights that grow"):
         apply_domain(council.desired, council.root, passphrase=None, now=NOW)
+
+
+def test_governance_weakened_by_hand_does_not_hide_growth(council):
+    """The comparison is with what was signed last, not with what somebody put there."""
+    path = council.root / "enclaves/governance.p7s"
+    weak = path.read_bytes().replace(b">ENCRYPT<", b">NONE<").replace(b">SIGN<", b">NONE<")
+    assert weak != path.read_bytes()
+    path.write_bytes(weak)
+    text = signed_governance(council.keystore)
+    cas = council.keystore.unlock(None)
+    with pytest.raises(KeystoreError, match="rights that grow"):
+        sign_governance(council.keystore, cas, text, now=NOW)
+
+
+def test_what_cannot_be_compared_wholly_counts_as_grown():
+    assert grows(Difference((), complete=False))
+    assert not grows(Difference((), complete=True))
 
 
 @pytest.mark.parametrize(
