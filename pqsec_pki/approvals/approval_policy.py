@@ -119,6 +119,14 @@ class ApprovalPolicy:
         found = (name for name, each in self.approvers.items() if _same(each) == _same(key))
         return next(found, None)
 
+    def other_keys(self, before: "ApprovalPolicy") -> tuple[str, ...]:
+        """The approvers who had another key in the policy `before`."""
+        both = self.approvers.keys() & before.approvers.keys()
+        same = {
+            name for name in both if _same(self.approvers[name]) == _same(before.approvers[name])
+        }
+        return tuple(sorted(both - same))
+
     def __str__(self) -> str:
         chosen = sorted(self.covers - {Covered.APPROVALS})
         kinds = "every change" if self.covers == ALL else ", ".join(chosen)

@@ -96,9 +96,9 @@ def lines(proposal: PlanProposal, plan: Path) -> Iterator[str]:
     for step in proposal.steps:
         alike.setdefault((step.action, step.why), []).append(step.name)
     for (action, why), names in alike.items():
-        yield f"{action}: {_printing.few(names)} ({why})" if any(names) else f"{action}: {why}"
+        yield f"{action}: {', '.join(names)} ({why})" if any(names) else f"{action}: {why}"
     for each in proposal.rights:
-        yield f"rights of {_printing.few(each.names)}:" if each.names else "governance:"
+        yield f"rights of {', '.join(each.names)}:" if each.names else "governance:"
         yield from (f"  {change}" for change in each.changes)
     if proposal.needs:
         kinds = ", ".join(each.words for each in proposal.needs)

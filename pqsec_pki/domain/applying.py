@@ -245,7 +245,7 @@ class _Worker:
             case StepAction.RENEW_CRL:
                 renew_list(*at, now=self._now)
             case StepAction.STORE_APPROVALS:
-                store_approvals(self._keystore, self._desired.approvals, now=self._now)
+                store_approvals(*at, self._desired.approvals, now=self._now)
 
     def _renew(self, names: list[str]) -> None:
         validity = self._desired.members[names[0]].validity

@@ -15,7 +15,7 @@ from pqsec_pki.domain.planning import plan as make_plan
 from pqsec_pki.domain.proposing import PlanReview
 from pqsec_pki.domain.steps import Plan, StepAction
 from pqsec_pki.errors import KeystoreError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, approval_entries, change, lines_since
+from pqsec_pki.keystore import PLAN, Keystore, Line, approval_entries, change, lines_since
 from pqsec_pki.problems import Code
 
 _LINES: Mapping[str, str] = {
@@ -82,6 +82,8 @@ def approved_plan(
     left = proposal.steps if since is None else tuple(_left(proposal, since))
     if since is not None and not any(step.action in _LINES for step in left):
         raise VerificationError("the plan was applied already", hint="`pqsec log` shows it")
+    if since is not None and any(line.entry.kind == PLAN for line in since):
+        raise _changed("another plan was begun after this one was interrupted")
     review = _reviewed(proposal, left, desired, keystore, now)
     if since is None and (review.rights, _needs(review)) != (proposal.rights, proposal.needs):
         raise _changed("the rights that change are not those in the plan")

@@ -9,6 +9,7 @@ from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
+from pqsec_pki.approvals import ApprovalPolicy
 from pqsec_pki.domain._profile_change import is_wanted, plan_profile_change
 from pqsec_pki.domain._reconcile import Reconciler
 from pqsec_pki.domain.desired import Desired
@@ -94,8 +95,12 @@ def _refuse_another_name(desired: Desired, keystore: Keystore) -> None:
         )
 
 
-def _approvals_step(desired: Desired) -> Step:
-    return Step(StepAction.STORE_APPROVALS, "", str(desired.approvals or "none are needed"))
+def _approvals_step(desired: Desired, before: ApprovalPolicy | None = None) -> Step:
+    """The step; who approves it sees whose key is another one, though the names are the same."""
+    rule = desired.approvals
+    other = rule.other_keys(before) if rule and before else ()
+    why = f"{rule}; another key of {', '.join(other)}" if other else str(rule or "none are needed")
+    return Step(StepAction.STORE_APPROVALS, "", why)
 
 
 def _counted(desired: Desired) -> str:
@@ -136,8 +141,9 @@ class _Planner:
             else:
                 steps += [Step(StepAction.REVOKE, name, "not in the file") for name in others]
         steps += self._list_steps(steps)
-        if self.keystore.approvals != self.desired.approvals:
-            steps.append(_approvals_step(self.desired))
+        before = self.keystore.approvals
+        if before != self.desired.approvals:
+            steps.append(_approvals_step(self.desired, before))
         steps.sort(key=lambda step: _PLACE[step.action])
         unlisted = () if self.prune else others
         return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, self.actual.head)

@@ -53,7 +53,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
     from pqsec_pki.keystore.anchoring import Anchored, checked_head, write_anchor
-    from pqsec_pki.keystore.approving import approval_entries, lines_since, policy_entry
+    from pqsec_pki.keystore.approving import PLAN, approval_entries, lines_since, policy_entry
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
         Authorities,
@@ -111,6 +111,7 @@ __all__ = [
     "GROUP",
     "GROUP_NAME",
     "PERMITTED",
+    "PLAN",
     "PUBLIC_FILES",
     "RECEIPT",
     "SETTINGS",

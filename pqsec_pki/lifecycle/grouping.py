@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from datetime import datetime
 
 from pqsec_pki.approvals import ApprovalPolicy, Covered
-from pqsec_pki.keystore import Keystore, change, groups_file, layout, policy_entry
+from pqsec_pki.keystore import Authorities, Keystore, change, groups_file, layout, policy_entry
 
 
 def store_groups(keystore: Keystore, groups: Mapping[str, tuple[str, ...]]) -> None:
@@ -17,11 +17,13 @@ def store_groups(keystore: Keystore, groups: Mapping[str, tuple[str, ...]]) -> N
         transaction.folder(".", private=False).public(layout.GROUPS, groups_file(groups))
 
 
-def store_approvals(keystore: Keystore, policy: ApprovalPolicy | None, *, now: datetime) -> None:
-    """Demand approvals from now on as `policy` says, or none.
+def store_approvals(
+    keystore: Keystore, authorities: Authorities, policy: ApprovalPolicy | None, *, now: datetime
+) -> None:
+    """Demand approvals from now on as `policy` says, or none; the CAs sign a head with that line.
 
     KeystoreError if the policy until now demands approvals for that.
     """
-    with change(keystore.root) as transaction:
+    with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.APPROVALS)
         transaction.record(policy_entry(policy, keystore.head, now))

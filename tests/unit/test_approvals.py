@@ -20,6 +20,7 @@ from pqsec_pki.approvals import (
 )
 from pqsec_pki.approvals._canonical import canonical
 from pqsec_pki.approvals.approval import LABEL
+from pqsec_pki.cli.approve import lines
 from pqsec_pki.documents import Governance
 from pqsec_pki.domain import apply as apply_domain
 from pqsec_pki.domain import change_profile, import_domain, read_domain
@@ -32,6 +33,7 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import audit, policy_entry, signed_governance
 from pqsec_pki.keystore.approving import policy_in
+from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
@@ -223,7 +225,7 @@ def test_no_operation_goes_around_the_policy(council):
         "rights that grow ": lambda: sign_permissions(keystore, cas, [wider], now=NOW),
         "rights that grow  ": lambda: sign_governance(keystore, cas, weaker, now=NOW),
         "the replacement of CAs": lambda: apply_rollover(keystore, rollover, now=NOW),
-        "a change of `approvals`": lambda: store_approvals(keystore, None, now=NOW),
+        "a change of `approvals`": lambda: store_approvals(keystore, cas, None, now=NOW),
     }
     before = council.kinds()
     for words, way in ways.items():
@@ -298,6 +300,34 @@ def test_the_policy_changes_by_its_own_rule_only(council, old, new):
     council.decide(proposal, first, council.approval(proposal, "carol"))
     assert council.keystore.approvals == council.desired.approvals
     assert council.plan().in_order
+
+
+def test_an_approver_whose_key_is_exchanged_is_named(council):
+    """The names and the number are as before: the plan must say what is not."""
+    council.change("carol: carol.pub.pem", "carol: mallory.pub.pem")
+    proposal, _ = council.proposed()
+    [step] = proposal.steps
+    assert "another key of carol" in step.why
+    council.change("of: {alice: alice.pub.pem", "of: {dora: alice.pub.pem")
+    assert "another key of carol" in council.whys()[""]
+    council.change("carol: mallory.pub.pem", "carol: carol.pub.pem")
+    assert "another key" not in council.whys()[""]
+
+
+def test_a_signed_head_has_the_policy(council):
+    """Else its line, the last, could be cut off, and no head that was kept elsewhere shows it."""
+    assert council.kinds()[-1] == "approvals"
+    assert read_head(council.root).head.size == len(council.kinds())
+
+
+def test_an_approver_sees_all_names(council):
+    council.change("{1..3}", "{1..60}")
+    proposal, _ = council.proposed()
+    shown = "\n".join(lines(proposal, council.folder / "plan.json"))
+    names = {step.name for step in proposal.steps}
+    assert len(names) == 57
+    issued = next(line for line in shown.splitlines() if line.startswith("issue:"))
+    assert names == set(re.findall(r"/r[0-9]+", issued))
 
 
 def test_a_policy_that_was_there_before_can_come_back(council):

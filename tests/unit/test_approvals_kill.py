@@ -108,6 +108,22 @@ def test_what_is_left_of_a_killed_plan_is_not_widened(council, monkeypatch):
     assert council.allowed("/r1")[1] == ["rt/cmd"]
 
 
+def test_an_interrupted_plan_does_not_go_on_after_another_one(council):
+    """Three people decided otherwise; then one of them took the old approvals out again."""
+    before = council.file.read_text()
+    council.change(*GROWS)
+    interrupted = council.file.read_text()
+    proposal, first = council.proposed()
+    given = first, council.approval(proposal, "bob")
+    council.approved(proposal, *given).begin(NOW)
+    council.write(before.replace("1..3", "1..4"))
+    instead, second = council.proposed()
+    council.decide(instead, second, council.approval(instead, "carol"))
+    council.write(interrupted)
+    refused(council, proposal, *given, words="another plan was begun after this one")
+    assert council.allowed("/r1")[1] == ["rt/cmd"]
+
+
 def apply_plan_of(council, begun):
     cas = begun.keystore.unlock(None)
     return apply_plan(council.desired, begun.keystore, cas, begun.plan, now=NOW)
