@@ -25,7 +25,7 @@ from pqsec_pki.cli._participant_options import (
     note_doubtful_topics,
     participant_options,
 )
-from pqsec_pki.credentials import ENCLAVES, GOVERNANCE
+from pqsec_pki.credentials import ENCLAVES, GOVERNANCE, PERMISSIONS
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.keystore import Authorities, Keystore, SigningCa, is_several
@@ -137,7 +137,9 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         compromised_keys=compromised_keys,
         **({"sign_permissions": False} if certificate_only else {}),
     )
-    if not certificate_only:
+    if certificate_only:
+        _note_rights(issued)
+    else:
         _warn(governance, specs)
     note_doubtful_topics(keystore, [spec.name for spec in specs if spec.has_rights])
     note_unsigned_governance(keystore)
@@ -189,6 +191,16 @@ def _refuse_rights(wanted: ParticipantOptions, domains: str | None, *bundles: Pa
         raise UsageError(
             "--certificate-only writes no bundles: they need permissions",
             hint="write them when the permissions are signed: `pqsec bundle`",
+        )
+
+
+def _note_rights(issued: Sequence[Issued]) -> None:
+    """Permissions name a subject and no key, so those of an earlier certificate are still good."""
+    had = [each.name for each in issued if (each.folder / PERMISSIONS).exists()]
+    if had:
+        _printing.note(
+            f"the permissions that were signed before stay: {_printing.few(had)}; `pqsec permit"
+            " --remove`, where the permissions CA's key is, takes rights away"
         )
 
 

@@ -122,6 +122,16 @@ def test_a_participant_that_is_certified_again_keeps_its_rights(machines, pqsec)
     pqsec(f"-k {IDENTITY} verify-handshake /talker /listener").done()
 
 
+def test_rights_that_stay_for_a_new_certificate_are_told(machines, pqsec):
+    """Also those of a participant that was revoked: its permissions are still signed."""
+    done = pqsec(f"-k {IDENTITY} issue /arm --certificate-only").done()
+    assert "stay" not in done.err
+    pqsec(f"-k {IDENTITY} revoke /talker --yes").done()
+    again = "issue /talker --certificate-only --force --after-revocation"
+    done = pqsec(f"-k {IDENTITY} {again}").done()
+    assert "permissions that were signed before stay: /talker" in done.err
+
+
 def test_certificate_only_takes_no_rights_and_writes_no_bundles(machines, pqsec):
     for rights in ("--publish x", "--ros-node /n", "--domain 0"):
         pqsec(f"-k {IDENTITY} issue /arm --certificate-only {rights}").refused(2, "rights")
