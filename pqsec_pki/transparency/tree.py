@@ -34,8 +34,9 @@ class CompactRange:
 
     @property
     def is_sound(self) -> bool:
-        """Whether there are as many subtrees as a tree of this size has."""
-        return 0 <= self.size <= MAX_SIZE and len(self.subtrees) == self.size.bit_count()
+        """Whether there are as many subtrees as a tree of this size has, each a hash."""
+        hashes = all(len(each) == len(EMPTY) for each in self.subtrees)
+        return hashes and 0 <= self.size <= MAX_SIZE and len(self.subtrees) == self.size.bit_count()
 
     def extended(self, leaves: Iterable[bytes]) -> Self:
         """The tree with these hashes of leaves appended."""

@@ -151,6 +151,18 @@ def test_a_tree_that_does_not_fit_the_head_is_not_extended(keystore):
 # What they show
 
 
+def test_subtrees_of_other_lengths_with_the_same_root_are_not_extended(keystore):
+    """Their bytes together are the same, and so is the root: the next head would be of no lines."""
+    path = keystore.root / "public/ledger.tree"
+    value = json.loads(path.read_text())
+    assert len(value["subtrees"]) > 1
+    *others, left, right = value["subtrees"]
+    path.write_text(json.dumps(value | {"subtrees": [*others, left[:-2], left[-2:] + right]}))
+    add(keystore, more="0")
+    assert size(keystore) == len(keystore.lines())
+    audit(keystore)
+
+
 def test_a_rewritten_line_with_a_whole_chain_is_found(keystore):
     rewrite(keystore, 5, name="/evil")
     assert f"lines 1 to {size(keystore)} are not those of which" in problems(keystore)
