@@ -112,7 +112,17 @@ def participants_own(profile: "Profile", uris: Uris) -> Iterator[dict[str, "Priv
 
     with participant_keys(key_places(profile, uris), _passphrases.pin) as made:
         yield {**made.keys}
-    note_places(uris, made.generated)
+    note_participant(profile, uris, made.generated)
+
+
+def note_participant(profile: "Profile", uris: Uris, generated: Collection[str]) -> None:
+    """As `note_places`; also that the alternative key is in a file, if nobody named its place."""
+    from pqsec_pki.credentials import ALT_KEY, KEY  # noqa: PLC0415 -- not for --help
+
+    note_places(uris, generated)
+    alone = uris.get(KEY, IN_FILE) != IN_FILE and ALT_KEY not in uris
+    if alone and profile.alternative_key:
+        _printing.note("the alternative key is in a file: --alt-key-uri names a token for it")
 
 
 def note_places(uris: Uris, generated: Collection[str]) -> None:

@@ -15,6 +15,7 @@ from pqsec_pki.keystore import (
     Line,
     SigningCa,
     audit,
+    read_anchors,
     regular_name,
     write_anchor,
 )
@@ -43,7 +44,10 @@ _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
     exit_codes={
         0: "shown; the ledger is complete; the head is signed or kept",
         1: "with --verify, --head, --sign or --anchor: the ledger or a file was changed",
-        3: "the keystore cannot be read, a file not written, or the passphrase is wrong",
+        3: (
+            "the keystore cannot be read, a file not written, DIR has no heads to compare with, or"
+            " the passphrase is wrong"
+        ),
     },
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
@@ -162,9 +166,8 @@ def _sign(keystore: Keystore, passphrase_file: Path | None, *, quiet: bool) -> N
 def _anchor(keystore: Keystore, folder: Path) -> None:
     done = write_anchor(keystore, folder)
     if done.unsigned:
-        _printing.note(
-            f"{done.unsigned} newer lines are in no signed head: `pqsec log --sign` signs one"
-        )
+        newer = _printing.counted(done.unsigned, "newer line")
+        _printing.note(f"no signed head is over {newer}: `pqsec log --sign` signs one")
     word = "was already there" if done.already else "written"
     _printing.emit(done.to_json(), [f"{done.path}  the head of {done.head.size} lines, {word}"])
 
@@ -176,8 +179,13 @@ def _verify(keystore: Keystore, head: str | None, anchors: Path | None) -> None:
         if _settings.settings().json:
             _printing.emit({"ok": False, "problems": error.lines}, [])
         raise
-    value = {"ok": True, "lines": count, "head": newest}
-    _printing.emit(value, [f"the ledger is complete: {count} lines, head {newest}"])
+    value: dict[str, object] = {"ok": True, "lines": count, "head": newest}
+    said = [f"the ledger is complete: {count} lines, head {newest}"]
+    if anchors:
+        sizes = [each.head.size for each in read_anchors(anchors).values()]
+        value |= {"anchors": len(sizes), "anchored": sizes[-1]}
+        said.append(f"it has the lines of all heads in {anchors}: {len(sizes)}, up to {sizes[-1]}")
+    _printing.emit(value, said)
 
 
 _JSON_ONLY = {"keys", "mark", "statement"}

@@ -85,7 +85,7 @@ def request(  # noqa: PLR0913 -- one for each option, by name
     )
     uris = _key_uris.given_for_participant()
     made = make_requests(names, profile, folder, uris=uris, pin=_passphrases.pin, force=force)
-    _key_uris.note_places(uris, made[0].generated)
+    _key_uris.note_participant(profile, uris, made[0].generated)
     if csr:
         with _printing.with_hint(f"the requests are in {folder}: join their files"):
             _files.write(csr, b"".join(each.request.pem for each in made), force=force)

@@ -72,16 +72,16 @@ def approved_plan(
 
     VerificationError if not; KeystoreError if the keystore demands no approvals.
     """
+    since = lines_since(keystore.lines(), proposal)
+    left = proposal.steps if since is None else tuple(_left(proposal, since))
+    if since is not None and not any(step.action in _LINES for step in left):
+        raise VerificationError("the plan was applied already", hint="`pqsec log` shows it")
     proposal.refuse_expired(now)
     _refuse_unapproved(proposal, approvals, keystore)
     if desired.sha256 != proposal.domain_sha256:
         raise _changed(f"{desired.path} is not the file that the plan was made of")
-    since = lines_since(keystore.lines(), proposal)
     if since is None:
         _refuse_other_state(proposal, keystore.head)
-    left = proposal.steps if since is None else tuple(_left(proposal, since))
-    if since is not None and not any(step.action in _LINES for step in left):
-        raise VerificationError("the plan was applied already", hint="`pqsec log` shows it")
     if since is not None and any(line.entry.kind == PLAN for line in since):
         raise _changed("another plan was begun after this one was interrupted")
     review = _reviewed(proposal, left, desired, keystore, now)

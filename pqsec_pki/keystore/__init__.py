@@ -52,7 +52,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
-    from pqsec_pki.keystore.anchoring import Anchored, checked_head, write_anchor
+    from pqsec_pki.keystore.anchoring import Anchored, checked_head, read_anchors, write_anchor
     from pqsec_pki.keystore.approving import PLAN, approval_entries, lines_since, policy_entry
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
@@ -165,6 +165,7 @@ __all__ = [
     "matching",
     "participant_states",
     "policy_entry",
+    "read_anchors",
     "refuse_overlap",
     "regular_name",
     "robot_states",

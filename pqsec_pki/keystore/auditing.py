@@ -30,6 +30,11 @@ def audit(
     if anchors and not anchors.is_dir():
         raise FileError(f"{anchors} is not a folder", hint="`pqsec log --anchor` makes one")
     lines, there = keystore.lines(), read_anchors(anchors) if anchors else {}
+    if anchors and not there:  # an empty or unmounted folder proves nothing
+        raise FileError(
+            f"{anchors} has no heads to compare with",
+            hint="name the folder that has them; `pqsec log --anchor` writes the newest one",
+        )
     broken = [*problems(lines), *_head_problems(lines, head)]
     found = [*broken, *_unknown(keystore, lines)]
     if there or not broken:  # a broken chain says more than the newest head

@@ -387,8 +387,11 @@ def _not_a_keystore(root: Path) -> KeystoreError:
         hint = f"`pqsec -k {quote(str(root))} ca init` creates a keystore there; -k names another"
         return KeystoreError(f"{root} does not exist", hint=hint)
     hint = "make one with `pqsec ca init`, or name another with -k"
-    if _parts_in(root):
-        hint = f"restore {layout.SETTINGS} from a backup, or `pqsec adopt {quote(str(root))}`"
+    parts, place = _parts_in(root), quote(str(root))
+    if parts == [layout.ENCLAVES]:
+        hint = f"what `pqsec install` wrote on a robot is not one: `pqsec check {place}` checks it"
+    elif parts:
+        hint = f"restore {layout.SETTINGS} from a backup, or `pqsec adopt {place}`"
     return KeystoreError(f"{root} is not a pqsec keystore: it has no {layout.SETTINGS}", hint=hint)
 
 

@@ -45,6 +45,8 @@ class StackEnclave:
     """The keystore's folder, absolute."""
     profile: Profile
     key_is_encrypted: bool
+    key_is_elsewhere: bool
+    """Whether the participant generated its keys, so that only its robot has them."""
     key_uri: str | None
     """The place of the private key, if it is in a token."""
     has_crl: bool
@@ -77,6 +79,7 @@ class StackEnclave:
             keystore=root,
             profile=profile,
             key_is_encrypted=is_encrypted(key),
+            key_is_elsewhere=elsewhere,
             key_uri=key_uri,
             has_crl=has_crl,
             has_large_handshake=profile.alternative_key is not None or not profile.runs_in_stock,

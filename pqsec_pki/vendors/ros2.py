@@ -131,7 +131,9 @@ def _keystore(enclave: StackEnclave) -> PurePosixPath:
 
 
 def _copies(enclave: StackEnclave, options: Options) -> dict[str, Path]:
-    """The files of the enclave that ROS 2 or the plugin reads, and no others."""
+    """The files of the enclave that ROS 2 or the plugin reads; none if its robot has the keys."""
+    if enclave.key_is_elsewhere:
+        return {}
     files = [
         enclave.folder / name for name in ((*SIX, REVOCATION_LIST) if enclave.has_crl else SIX)
     ]
@@ -141,7 +143,9 @@ def _copies(enclave: StackEnclave, options: Options) -> dict[str, Path]:
 
 
 def _notes(enclave: StackEnclave, keystore: str, options: Options) -> Iterator[str]:
-    if options.at:
+    if enclave.key_is_elsewhere:
+        yield f"copy {SCRIPT} to its robot, which has its keys: `pqsec install` writes the others"
+    elif options.at:
         yield f"with -o DIR, copy what is in DIR to {keystore} there"
     if options.plugin:
         yield from _ros2_plugin.notes(options)

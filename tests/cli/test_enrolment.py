@@ -312,6 +312,23 @@ def test_the_configuration_of_a_stack_is_for_where_the_keys_are(pqsec, asked, tm
     pqsec("-k k check").done()
 
 
+def test_ros_2_gets_the_script_alone_if_the_robot_has_its_keys(pqsec, asked, tmp_path):
+    asked("classical")
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC} --ros-node {ROBOT}").done()
+    line = "-k k export ros2 '/fleet/*' --at /opt/fleet/current/enclaves -o out"
+    assert "copy ros2.sh to its robot, which has its keys" in pqsec(line).done().err
+    assert [each.name for each in (tmp_path / f"out{ROBOT}").iterdir()] == ["ros2.sh"]
+
+
+def test_what_is_installed_on_a_robot_is_no_keystore(pqsec, asked):
+    asked("classical")
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
+    hint = "`pqsec check r/current` checks it"
+    pqsec("-k r/current status").refused(3, "not a pqsec keystore", hint=hint)
+    pqsec("check r/current").done()
+
+
 # CAs without a network
 
 

@@ -300,6 +300,7 @@ def test_the_policy_changes_by_its_own_rule_only(council, old, new):
     council.decide(proposal, first, council.approval(proposal, "carol"))
     assert council.keystore.approvals == council.desired.approvals
     assert council.plan().in_order
+    refused(council, proposal, first, words="was applied already")
 
 
 def test_an_approver_whose_key_is_exchanged_is_named(council):

@@ -85,6 +85,14 @@ def test_each_change_with_the_ca_keys_signs_a_head_over_all_lines(tmp_path, prof
         audit(keystore)
 
 
+def test_a_folder_without_heads_proves_nothing(keystore, anchors):
+    anchors.mkdir()
+    with pytest.raises(FileError, match="no heads to compare with"):
+        audit(keystore, anchors=anchors)
+    write_anchor(keystore, anchors)
+    audit(keystore, anchors=anchors)
+
+
 def test_lines_that_are_added_without_the_keys_are_in_the_next_head(keystore):
     before = size(keystore)
     enter(keystore, [entry(1), entry(2)])
