@@ -15,7 +15,7 @@ from pqsec_pki.algorithms import SIGNATURES, Family, PrivateKey, load_private_ke
 from pqsec_pki.errors import MalformedError, PqsecError
 from pqsec_pki.inspection import _algorithms
 from pqsec_pki.inspection.description import Description, Fact, Value
-from pqsec_pki.tokens import uri_in
+from pqsec_pki.tokens import uri_in, without_pin
 
 T = TypeVar("T")
 
@@ -77,7 +77,8 @@ def describe_traditional_encrypted_key(label: str) -> Description:
 
 def describe_reference(data: bytes) -> Description:
     """A file that refers to a private key in a token; MalformedError if it is damaged."""
-    facts = (Fact.of("key", uri_in(data), key="uri"), Fact("private", value=False, rows=()))
+    uri = without_pin(uri_in(data))
+    facts = (Fact.of("key", uri, key="uri"), Fact("private", value=False, rows=()))
     return Description("key reference", "Reference to a private key that is not in a file", facts)
 
 

@@ -43,7 +43,7 @@ from pqsec_pki.keystore.participant import (
     refuse_unknown,
 )
 from pqsec_pki.keystore.patterns import GROUP, expanded, is_several
-from pqsec_pki.tokens import Pin, is_reference, uri_in
+from pqsec_pki.tokens import Pin, is_reference, uri_in, without_pin
 
 if TYPE_CHECKING:
     from pqsec_pki.approvals import ApprovalPolicy, Covered
@@ -255,7 +255,7 @@ class Keystore:
         for name, data in self._ca_key_files(cas).items():
             with located(self.root / layout.PRIVATE / name):
                 if is_reference(data):
-                    found[name] = uri_in(data)
+                    found[name] = without_pin(uri_in(data))
         return found
 
     def _ca_key_files(self, cas: Collection[SigningCa] = ()) -> dict[str, bytes]:

@@ -20,7 +20,7 @@ from pqsec_pki.smime import (
     is_signed,
     signers_in,
 )
-from pqsec_pki.tokens import is_reference, uri_in
+from pqsec_pki.tokens import is_reference, uri_in, usable
 
 _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
 """PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, then a tag that certificates and CRLs lack."""
@@ -101,7 +101,7 @@ class File:
             return PrivateKeyInfo()
         try:
             if self.is_reference:
-                uri_in(self.data)
+                usable(uri_in(self.data))
                 return PrivateKeyInfo()
             return PrivateKeyInfo(load_private_key(self.data).public_key.spki)
         except UnknownAlgorithmError:

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from pqsec_pki.tokens.keys import find_key, key_file, key_in, made_keys, participant_keys
     from pqsec_pki.tokens.pin import Pin, stored_pin
     from pqsec_pki.tokens.reference import is_reference, reference_to, uri_in
-    from pqsec_pki.tokens.uri import SCHEME, KeyUri
+    from pqsec_pki.tokens.uri import SCHEME, KeyUri, usable, without_pin
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -31,4 +31,6 @@ __all__ = [
     "reference_to",
     "stored_pin",
     "uri_in",
+    "usable",
+    "without_pin",
 ]

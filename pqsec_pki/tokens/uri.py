@@ -18,6 +18,7 @@ _OF_PATH = (*_TOKEN, *_OBJECT, "type")
 _MODULE = ("module-path", "module-name")
 _UNRESERVED = ":[]@!$'()*+,="
 """Characters that RFC 7512 allows in a value of the path besides those that `quote` leaves."""
+_PIN = re.compile(r"(pin-value=)[^&]*", re.IGNORECASE)
 _PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
 
 
@@ -81,6 +82,16 @@ class KeyUri:
         path = ";".join(f"{name}={_quoted(value)}" for name, value in values if value is not None)
         query = f"?pin-source={quote(f'file:{self.pin_source}', safe='/:')}"
         return f"{SCHEME}:{path};type=private{query if self.pin_source else ''}"
+
+
+def usable(uri: str) -> str:
+    """The URI of a key, in a token or elsewhere; UsageError if it names a PIN or a library."""
+    return str(KeyUri.parse(uri)) if uri.lower().startswith(f"{SCHEME}:") else uri
+
+
+def without_pin(uri: str) -> str:
+    """The URI as it may be shown: other tools write PINs into it, which pqsec refuses."""
+    return _PIN.sub(r"\1(not shown)", uri)
 
 
 def _quoted(value: str | bytes) -> str:

@@ -25,7 +25,7 @@ from pqsec_pki.credentials import (
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, located, problems_of, shown
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.tokens import is_reference, uri_in
+from pqsec_pki.tokens import is_reference, uri_in, usable
 from pqsec_pki.vendors.exports import PASSWORD_VARIABLE, Options
 
 _INSTALLED = "/etc/dds/current/enclaves"
@@ -72,7 +72,7 @@ class StackEnclave:
         has_crl = exists(folder / REVOCATION_LIST)
         with located(folder / KEY):
             key = b"" if elsewhere else read(folder / KEY)
-            key_uri = uri_in(key) if is_reference(key) else None
+            key_uri = usable(uri_in(key)) if is_reference(key) else None
         return cls(
             name=name,
             folder=folder,

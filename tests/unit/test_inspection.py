@@ -33,6 +33,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.inspection import Description, Fact, describe
 from pqsec_pki.smime import Signer, sign
+from pqsec_pki.tokens import reference_to
 from tests.some_keys import some_key as key
 from tests.unit.test_requests import crl, request, with_alternative
 
@@ -143,6 +144,13 @@ def test_a_private_key_and_its_certificate_are_told_to_belong_together(row, writ
     certificate = fields(participant(row.name, by=authority()).pem)
     assert values["public_key_sha256"] == certificate["public_key_sha256"]
     assert values["key"] == certificate["key"]
+
+
+def test_a_pin_in_a_reference_is_not_shown():
+    """Other tools write it there; pqsec refuses such a URI, but shows whose key it is."""
+    found = told(reference_to("pkcs11:token=lab;object=k?pin-value=1234&x=1"))
+    assert "token=lab;object=k" in found
+    assert "1234" not in found
 
 
 def test_the_form_of_a_post_quantum_key_is_told():

@@ -16,11 +16,15 @@ from pqsec_pki._asn1 import ContentInfo, Oid, algorithm, encode
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, load_private_key, pem
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Permissions
+from pqsec_pki.errors import UsageError
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint import check
 from pqsec_pki.smime import Signer, document_in, sign, signers_in
 from pqsec_pki.smime._cms import SIGNED_DATA, parse
 from pqsec_pki.smime._mime import split
 from pqsec_pki.stacks import Stack
+from pqsec_pki.tokens import reference_to
+from pqsec_pki.vendors.enclave import StackEnclave
 from tests.unit.keystores import DAY, NOW, TWO, made
 from tests.unit.linting import TALKER, Lab, certificate, found, p256
 from tests.unit.signed_files import CONSTRUCTIONS
@@ -172,6 +176,16 @@ def test_a_folder_outside_a_keystore_may_have_any_name(lab, tmp_path):
 def test_a_key_of_another_certificate_is_found(lab):
     shutil.copy(lab / "enclaves/listener/key.pem", lab / TALKER / "key.pem")
     assert set(lab.found()) == {"PQS304"}
+
+
+@pytest.mark.parametrize("asked", ["pin-value=1234", "module-path=/tmp/evil.so"])
+def test_a_reference_with_a_pin_or_a_library_is_found_and_not_exported(lab, asked):
+    """Other tools write such references; Fast DDS's own plugin would get the whole of it."""
+    reference = reference_to(f"pkcs11:token=lab;object=talker?{asked}")
+    (lab / TALKER / "key.pem").write_bytes(reference)
+    assert "PQS305" in lab.found()
+    with pytest.raises(UsageError, match="URI"):
+        StackEnclave.find(Keystore.open(lab.root), "/talker")
 
 
 def test_another_alternative_key_is_found(tmp_path):
