@@ -56,7 +56,7 @@ _OPTIONS = (
         multiple=True,
         type=_settings.Percent(),
         default=("0%",),
-        help="With --stack: lose this part of frames.  [default: 0%]",
+        help="With --stack: lose so many percent of frames.  [default: 0%]",
     ),
     click.option(
         "--delay",
@@ -174,7 +174,7 @@ def _row(case: MeshCase, runs: Sequence[MeshRun]) -> tuple[str, ...]:
         case.profile or "",
         case.plugins.value,
         f"{case.hosts:>5}",
-        f"{case.link.loss:.3g}",
+        _printing.percent(case.link.loss),
         f"{case.link.delay * 1000:.3g}",
         str(case.link.mtu),
         f"{sum(each.result.complete for each in runs)}/{case.hosts * len(runs)}",

@@ -96,6 +96,11 @@ def counted(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
+def percent(share: float) -> str:
+    """Such as "5%" for 0.05, as the options take it."""
+    return f"{share * 100:.3g}%"
+
+
 def few(names: Iterable[str]) -> str:
     """The names, shortened to fit on one line."""
     some = [name for name in names if name]

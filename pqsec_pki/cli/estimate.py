@@ -59,7 +59,7 @@ from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
     type=_settings.Percent(),
     default="0%",
     show_default=True,
-    help="Lose this part of frames.",
+    help="Lose so many percent of frames: 0.05 is 0.05%.",
 )
 @click.option(
     "--fragment",
@@ -191,7 +191,7 @@ def _scenario_lines(profile: str, scenario: Scenario) -> Iterator[str]:
     who = f"{count} participants of profile {profile} on {hosts} of {cores}"
     sizes = "/".join(map(str, scenario.sizes))
     frames = "/".join(map(str, map(scenario.frames, scenario.sizes)))
-    yield f"{who}, {scenario.loss:.3g} of all frames lost"
+    yield f"{who}, {_printing.percent(scenario.loss)} of all frames lost"
     yield ""
     yield f"handshakes      {scenario.pairs}"
     yield f"messages        {sizes} bytes in {frames} frames"

@@ -2,11 +2,18 @@
 
 import json
 
+import pytest
 from lxml import etree
 
 from pqsec_pki.handshake import MAX_SAMPLE
 
 FLEET = "estimate --participants 20 --profile pq --loss 2%"
+
+
+@pytest.mark.parametrize(("given", "said"), [("2%", "2%"), ("5", "5%"), ("0.05", "0.05%")])
+def test_a_loss_is_printed_as_it_is_given(pqsec, given, said):
+    told = pqsec(f"estimate --participants 2 --profile pq --loss {given}").done().out
+    assert f", {said} of all frames lost" in told.splitlines()[0]
 
 
 def test_the_table_has_both_models_and_the_range(pqsec):
