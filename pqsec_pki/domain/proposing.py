@@ -63,10 +63,13 @@ class PlanReview:
 
     @cached_property
     def rights(self) -> tuple[ChangedRights, ...]:
-        """The changes of rights, each with all who have it."""
+        """The changes of rights, each with all who have it, and how long certificates last."""
         alike: dict[tuple[str, ...], list[str]] = {}
         for name, difference in (*self._issued(), *self._signed()):
             alike.setdefault(tuple(_words(difference)), []).append(name)
+        for name in self._named(StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW):
+            days = self.desired.members[name].validity / timedelta(days=1)
+            alike.setdefault((f"a certificate that is valid for {days:g} days",), []).append(name)
         return tuple(
             ChangedRights(tuple(filter(None, names)), changes) for changes, names in alike.items()
         )

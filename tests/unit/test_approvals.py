@@ -321,6 +321,20 @@ def test_a_signed_head_has_the_policy(council):
     assert read_head(council.root).head.size == len(council.kinds())
 
 
+def test_an_approver_sees_how_long_certificates_last(council):
+    """New ones, and those that are renewed: `renew` needs no approvals, but a plan says it."""
+    council.change("validity: 90d", "validity: 70000d")
+    council.change("{1..3}", "{1..4}")
+    later = NOW + 80 * DAY
+    proposal, first = council.proposed(now=later)
+    actions = {step.name: step.action for step in proposal.steps}
+    assert actions == {"/r1": "renew", "/r2": "renew", "/r3": "renew", "/r4": "issue"}
+    *_, lasting = proposal.rights
+    assert sorted(lasting.names) == sorted(actions)
+    assert lasting.changes == ("a certificate that is valid for 70000 days",)
+    assert len(council.decide(proposal, first, council.approval(proposal, "bob"), now=later)) == 4
+
+
 def test_an_approver_sees_all_names(council):
     council.change("{1..3}", "{1..60}")
     proposal, _ = council.proposed()
