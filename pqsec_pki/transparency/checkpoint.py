@@ -21,6 +21,8 @@ from pqsec_pki.transparency.tree import MAX_SIZE
 
 MAX_NOTE = 256 << 10
 """Bytes: 16 signatures, which a reader must accept, of any algorithm."""
+MAX_SIGNATURES = 16
+"""Each may be by a key that we verify with, for each participant of a bundle."""
 HASH = 32
 """Bytes of a SHA-256."""
 _ID = 4
@@ -71,7 +73,8 @@ class Checkpoint:
         found = _HEAD.fullmatch(text)
         signatures = list(_SIGNATURE.finditer(lines))
         whole = sum(len(each[0]) for each in signatures) == len(lines)
-        if len(data) > MAX_NOTE or not (parted and found and signatures and whole):
+        signed = whole and 0 < len(signatures) <= MAX_SIGNATURES
+        if len(data) > MAX_NOTE or not (parted and found and signed):
             raise MalformedError("not a checkpoint (c2sp.org/tlog-checkpoint)")
         head = TreeHead(found[1], int(found[2]), decoded(found[3]))
         if head.size > MAX_SIZE or any(c < " " and c != "\n" for c in text):

@@ -137,6 +137,19 @@ def test_a_proof_with_one_thing_wrong_is_refused(bundle, robot, what, at):
     assert proof_in(robot) is None
 
 
+@pytest.mark.parametrize("count", [16, 17])
+def test_a_head_has_few_signatures(bundle, count):
+    """Thousands of one valid signature would be verified for each participant of a bundle."""
+    head = bundle.proof.checkpoint
+    first = head.signatures[0]
+    data = replace(head, signatures=(first,) * count).to_bytes()
+    if count == 16:
+        assert Checkpoint.from_bytes(data).head == head.head
+    else:
+        with pytest.raises(MalformedError):
+            Checkpoint.from_bytes(data)
+
+
 def test_a_proof_of_another_head_is_refused(keystore, bundle, robot, tmp_path):
     other = made(tmp_path / "other", "transition")
     good, authorities = bundle.proof.checkpoint, keystore.unlock(None)
