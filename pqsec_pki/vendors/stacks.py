@@ -11,6 +11,7 @@ from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
+from pqsec_pki.tokens import SCHEME
 from pqsec_pki.vendors import _datagrams, own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Export, Options, Version
@@ -209,7 +210,9 @@ def _refuse_place(exporter: Exporter, options: Options) -> None:
 
 def _refuse_token(exporter: Exporter, enclave: StackEnclave, options: Options) -> None:
     """VerificationError for a key in a token, if the plugin that is to run takes none."""
-    if enclave.key_uri and not (options.plugin or exporter.takes_key_uris or options.anyway):
+    uri = enclave.key_uri or ""
+    takes = exporter.takes_key_uris and uri.startswith(f"{SCHEME}:")
+    if uri and not (options.plugin or takes or options.anyway):
         way = "run pqsec's plugin in it (--plugin), or " if exporter.loads_ours else ""
         raise VerificationError(
             f"the key of {enclave.name} is in a token, and {exporter.stack.product}'s own plugin is"

@@ -9,6 +9,7 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.cli import export as command
 from pqsec_pki.plugin import LIBRARY
 from pqsec_pki.stacks import Stack
+from pqsec_pki.tokens import reference_to
 from tests.cli.conftest import secret, snapshot
 
 PRINTED = {
@@ -34,6 +35,16 @@ def test_without_a_folder_the_file_is_printed(pqsec, keystore, tmp_path, stack):
     assert PRINTED[stack] in printed
     assert printed.endswith(">\n")
     assert snapshot(tmp_path) == before
+
+
+def test_a_reference_to_another_file_is_not_exported_as_the_uri_of_a_key(pqsec, keystore):
+    """Fast DDS's own plugin would open what the reference names: another file."""
+    path = keystore() / "enclaves/talker/key.pem"
+    path.write_bytes(reference_to("file:/home/other.pem"))
+    refused = pqsec("-k k export fastdds /talker")
+    refused.refused(1, "own plugin is not known to take one")
+    path.write_bytes(reference_to("pkcs11:token=lab;object=talker"))
+    assert "pkcs11:token=lab" in pqsec("-k k export fastdds /talker").done().out
 
 
 def test_it_is_written_with_the_commands_that_use_it(pqsec, keystore, tmp_path):
