@@ -19,7 +19,7 @@ from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Plan, Step, StepAction
 from pqsec_pki.errors import KeystoreError, shown
 from pqsec_pki.keystore import Keystore, groups_file
-from pqsec_pki.lifecycle import changed_protection, changed_rights, grows, revocable
+from pqsec_pki.lifecycle import changed_protection, changed_rights, grows, lasts_longer, revocable
 
 _KINDS = {
     StepAction.CHANGE_PROFILE: Covered.ROTATE,
@@ -44,7 +44,9 @@ class PlanReview:
     def kinds(self) -> frozenset[Covered]:
         """The kinds of its changes; one document that grows is enough for all that are signed."""
         found = {_KINDS.get(step.action, Covered.OTHER) for step in self.plan.steps}
-        if Covered.GROW not in found and any(grows(each) for _, each in self._signed()):
+        if Covered.GROW not in found and (
+            self._last_longer() or any(grows(each) for _, each in self._signed())
+        ):
             found.add(Covered.GROW)
         return frozenset(found)
 
@@ -86,6 +88,13 @@ class PlanReview:
         names = self._named(StepAction.SIGN_PERMISSIONS)
         if specs := [self.desired.members[name].spec() for name in names]:
             yield from changed_rights(self.keystore, specs, now=self.now)
+
+    def _last_longer(self) -> bool:
+        """Whether a renewed certificate would be for longer than before."""
+        return any(
+            lasts_longer(self.keystore, [name], self.desired.members[name].validity)
+            for name in self._named(StepAction.RENEW)
+        )
 
     def _named(self, *actions: StepAction) -> Iterator[str]:
         return (step.name for step in self.plan.steps if step.action in actions)

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
         changed_permissions,
         sign_changed,
     )
-    from pqsec_pki.lifecycle.renewing import Renewal, renew
+    from pqsec_pki.lifecycle.renewing import Renewal, lasts_longer, renew
     from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revocable, revoke
     from pqsec_pki.lifecycle.rollover import (
         CA_VALIDITY,
@@ -80,6 +80,7 @@ __all__ = [
     "changed_rights",
     "grows",
     "issue",
+    "lasts_longer",
     "plan_rollover",
     "refuse_keys_in_files",
     "renew",

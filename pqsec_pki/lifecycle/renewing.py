@@ -5,7 +5,7 @@ signed permissions in the participant's folder, after the permissions CA's signa
 verified; they must be the newest in the ledger.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -17,7 +17,15 @@ from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import BACKDATE, Certificate, end_of
 from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
-from pqsec_pki.keystore import Authorities, Keystore, StagedFolder, change, layout, list_status
+from pqsec_pki.keystore import (
+    Authorities,
+    Keystore,
+    StagedFolder,
+    change,
+    layout,
+    list_status,
+    load_certificate,
+)
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_compromised
@@ -56,7 +64,8 @@ def renew(
     regular = list(dict.fromkeys(map(layout.enclave_name, names)))
     issuer = Issuer(keystore, authorities, now)
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
-        keystore.refuse_unapproved(Covered.OTHER)
+        longer = terms.validity and lasts_longer(keystore, regular, terms.validity)
+        keystore.refuse_unapproved(Covered.GROW if longer else Covered.OTHER)
         inspector = Inspector.of(keystore, ledger, regular, now=now)
         inspector.refuse_revoked(regular)
         inspector.refuse_previous_ca(regular)
@@ -134,6 +143,15 @@ def keys_fit(certificate: Certificate, profile: Profile) -> bool:
         return False
     kinds = (first.algorithm, second.algorithm if second else None)
     return kinds == (profile.participant_key, profile.alternative_key)
+
+
+def lasts_longer(keystore: Keystore, names: Iterable[str], validity: timedelta) -> bool:
+    """Whether a certificate for `validity` would last longer than that of one of `names` did.
+
+    FileError or MalformedError for a certificate that cannot be read.
+    """
+    enclaves = (keystore.root / layout.enclave_folder(name) for name in names)
+    return any(validity > _length(load_certificate(each / layout.CERTIFICATE)) for each in enclaves)
 
 
 def _length(old: Certificate) -> timedelta:

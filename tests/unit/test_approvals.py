@@ -404,6 +404,22 @@ def test_an_expired_plan_is_refused(grown):
     assert grown.decide(proposal, first, second, now=NOW + WEEK - SECOND)
 
 
+def test_a_renewal_for_longer_than_before_is_growth(tmp_path):
+    council = Council(tmp_path, DOMAIN.replace("{required", "{for: [grow], required"))
+    cas = council.keystore.unlock(None)
+    renew(council.keystore, cas, ["/r1"], Renewal(validity=90 * DAY), now=NOW)
+    with pytest.raises(KeystoreError, match="rights that grow"):
+        renew(council.keystore, cas, ["/r1"], Renewal(validity=91 * DAY), now=NOW)
+    later = NOW + 80 * DAY
+    proposal, _ = council.proposed(now=later)
+    assert proposal.needs == ()
+    council.change("validity: 90d", "validity: 10y")
+    proposal, _ = council.proposed(now=later)
+    assert proposal.needs == (Covered.GROW,)
+    with pytest.raises(KeystoreError, match="rights that grow"):
+        apply_domain(council.desired, council.root, passphrase=None, now=later)
+
+
 def test_a_plan_for_another_state_of_the_keystore_is_refused(grown):
     proposal, first = grown.proposed()
     second = grown.approval(proposal, "bob")
