@@ -2,13 +2,16 @@
 
 import hashlib
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 from pqsec_pki.credentials._pem_files import only_certificate
 from pqsec_pki.credentials.anchors import TrustAnchors
 from pqsec_pki.credentials.names import CERTIFICATE, GOVERNANCE, PERMISSIONS
 from pqsec_pki.errors import PqsecError, VerificationError, problems_of
 from pqsec_pki.problems import Code, Problem
-from pqsec_pki.transparency import LedgerProof
+
+if TYPE_CHECKING:
+    from pqsec_pki.transparency import LedgerProof
 
 PROOF = "ledger.proof"
 """The proof beside an enclave's files; no stack reads it."""
@@ -29,10 +32,10 @@ def verify_logged(
     name: str,
     anchors: TrustAnchors,
     files: Mapping[str, bytes],
-    proof: LedgerProof | None,
+    proof: "LedgerProof | None",
     *,
     demanded: bool = False,
-) -> LedgerProof | None:
+) -> "LedgerProof | None":
     """The part of `proof` about the certificate and documents in `files`: the ledger has them.
 
     The permissions CA and its countersigner must have signed the ledger's head.

@@ -51,7 +51,7 @@ CHANGING = {
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "explain-error", "profiles"),
-    *("sign-request export", "sign-request import", "algorithms", "bench"),
+    *("sign-request export", "sign-request import", "algorithms", "approve", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),
     *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),

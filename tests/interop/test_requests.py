@@ -72,7 +72,7 @@ def test_a_robot_whose_keys_openssl_made_is_enrolled(openssl35, tmp_path, now, p
     files = {
         path.name: hashlib.sha256(path.read_bytes()).hexdigest()
         for path in folder.iterdir()
-        if not path.name.endswith("key.pem")
+        if not path.name.endswith(("key.pem", ".proof"))
     }
     assert json.loads(read)["files"] == files
 
