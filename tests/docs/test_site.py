@@ -62,3 +62,9 @@ def test_the_written_pages_stay_short():
         assert re.search(r"[Gg]enerate[ds] ", page.read_text()[:400]), page
     lines = {path.name: len(path.read_text().splitlines()) for path in pages - made}
     assert sum(lines.values()) <= MOST_LINES, sorted(lines.items(), key=lambda item: -item[1])
+
+
+def test_each_example_is_a_page_of_the_site():
+    nav = (ROOT / "docs/site/mkdocs.yml").read_text()
+    examples = [path.parent.name for path in (ROOT / "examples").glob("*/README.md")]
+    assert [name for name in examples if f"tutorials/{name}.md\n" not in nav] == []
