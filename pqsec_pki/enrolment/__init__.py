@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle_file import BundleFile, write_bundles
     from pqsec_pki.enrolment.credential_store import InstalledSet
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
-    from pqsec_pki.enrolment.installing import Installed, install, removed_alone, rollback
+    from pqsec_pki.enrolment.installing import Installed, install, removed_alone
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
     from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
     from pqsec_pki.enrolment.outbox import refresh
@@ -26,6 +26,7 @@ if TYPE_CHECKING:
         request,
         requests,
     )
+    from pqsec_pki.enrolment.rolling_back import rollback
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
     from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of

@@ -1,0 +1,47 @@
+"""What a robot trusts: as saved, or derived from the set that is installed."""
+
+from collections.abc import Collection
+
+from pqsec_pki.credentials import KEYS, Credentials
+from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledSet
+from pqsec_pki.enrolment.trust import Marks, Pins, TrustState, pins_in
+from pqsec_pki.errors import PqsecError, located
+
+
+def trust_state(
+    store: CredentialStore, before: InstalledSet | None, *, needed: bool
+) -> TrustState | None:
+    """The saved trust state, or, if an older pqsec installed the set, one derived from that set.
+
+    None if nothing is installed, or if it cannot be read and is not `needed`.
+    """
+    try:
+        state = store.trust_state
+        if state or before is None:
+            return state
+        installed = credentials_in(before)
+        pins = pins_in(*(each.anchors for each in installed))
+        return raised(None, installed, pins)
+    except PqsecError as error:
+        if not needed:
+            return None
+        error.hint = error.hint or (
+            "--older, with --ca-fingerprint for each CA, ignores what was installed before"
+        )
+        raise
+
+
+def raised(
+    state: TrustState | None, credentials: Collection[Credentials], pins: Pins
+) -> TrustState:
+    """The trust state after these credentials; `pins` are its CAs if there is none yet."""
+    return (state or TrustState(pins=pins, marks=Marks())).after(credentials, pins)
+
+
+def credentials_in(found: InstalledSet) -> list[Credentials]:
+    """The installed credentials, read but not verified."""
+    with located(found.path):
+        return [
+            Credentials.of(name, {file: each for file, each in files.items() if file not in KEYS})
+            for name, files in found.enclaves.items()
+        ]
