@@ -1,7 +1,6 @@
 """pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
 from collections.abc import Iterator
-from contextlib import suppress
 from datetime import timedelta
 from pathlib import Path
 
@@ -15,8 +14,8 @@ from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Keystore, Overlap, SigningCa, ca_key_files, key_algorithms
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import Keystore, SigningCa, key_algorithms, overview_of
 from pqsec_pki.lifecycle import renew_list
 
 
@@ -258,69 +257,21 @@ def _show_pins(keystore: Keystore) -> None:
 
 
 def _show(keystore: Keystore) -> None:
-    cas, keys, uris = [*_cas(keystore)], _keys(keystore), _uris(keystore)
-    names = keystore.names()
-    value = {
-        "keystore": keystore.root,
-        **keystore.profile.to_names(),
-        "domains": str(keystore.domains),
-        "keys": keys,
-        "key_uris": uris,
-        "cas": [{"role": role, **each.to_json()} for role, each in cas],
-        "participants": names,
-    }
+    found = overview_of(keystore)
     lines = (
-        f"keystore       {keystore.root} ({_described(keystore.profile)})",
-        *(line for role, each in cas for line in _ca_lines(role, each)),
-        f"{keystore.domains.noun:<14} {keystore.domains}",
-        f"CA keys        {keys}",
-        *(f"{'':<14} {name}: {uri}" for name, uri in uris.items()),
-        f"participants   {', '.join(names) or 'none yet: pqsec issue NAME'}",
+        f"keystore       {found.keystore} ({_described(found.profile)})",
+        *(line for role, each in found.cas for line in _ca_lines(role, each)),
+        f"{found.domains.noun:<14} {found.domains}",
+        f"CA keys        {found.keys}",
+        *(f"{'':<14} {name}: {uri}" for name, uri in found.key_uris.items()),
+        f"participants   {', '.join(found.participants) or 'none yet: pqsec issue NAME'}",
     )
-    _printing.emit(value, lines)
-
-
-def _cas(keystore: Keystore) -> Iterator[tuple[str, Certificate]]:
-    """The role of each CA, and its certificate."""
-    yield "identity CA", keystore.identity_ca
-    yield "permissions CA", keystore.permissions_ca
-    if keystore.countersigner:
-        yield "countersigner", keystore.countersigner
-    if overlap := Overlap.of(keystore):
-        yield "trusted too", overlap.other
+    _printing.emit(found.to_json(), lines)
 
 
 def _ca_lines(role: str, ca: Certificate) -> Iterator[str]:
     yield f"{role:<14} {ca.subject_name}, {_algorithms(ca)}"
     yield f"{'':<14} until {ca.not_after:%Y-%m-%d}, SHA-256 {ca.fingerprint}"
-
-
-def _keys(keystore: Keystore) -> str:
-    """Whether the CA keys are encrypted, in tokens, missing, or not readable for this user."""
-    found = {ca: _keys_of(keystore, ca) for ca in SigningCa}
-    if len({*found.values()}) == 1:
-        return found[SigningCa.IDENTITY]
-    return ", ".join(f"those of the {ca} {words}" for ca, words in found.items())
-
-
-def _keys_of(keystore: Keystore, ca: SigningCa) -> str:
-    try:
-        if len(keystore.key_uris([ca])) == len(ca_key_files(keystore.profile, [ca])):
-            return "not in files"
-        return "encrypted" if keystore.is_locked([ca]) else "not encrypted"
-    except KeystoreError:
-        return "not here"
-    except FileError:
-        return "not readable from here"
-
-
-def _uris(keystore: Keystore) -> dict[str, str]:
-    """The CA keys that are not in files; without those of a CA that cannot be read."""
-    found: dict[str, str] = {}
-    for ca in SigningCa:
-        with suppress(KeystoreError, FileError):
-            found |= keystore.key_uris([ca])
-    return found
 
 
 def _described(profile: Profile) -> str:

@@ -31,6 +31,7 @@ Questions:
     states               the state of each participant, for all commands that ask for it;
                          `_file_comparison` compares its files with the ledger
     status_report        the states of participants, CAs, revocation list and governance
+    overview             the CAs, profile, domains and participants
     overlap              whether two identity CAs are trusted, and which of them issues
     compromised          finds keys that were revoked as compromised
     anchoring            signed heads that are kept in another place
@@ -77,6 +78,7 @@ if TYPE_CHECKING:
         trust_entry,
         trust_file,
     )
+    from pqsec_pki.keystore.overview import Overview, overview_of
     from pqsec_pki.keystore.participant import (
         enclave_files,
         load_certificate,
@@ -126,6 +128,7 @@ __all__ = [
     "Ledger",
     "Line",
     "Overlap",
+    "Overview",
     "ParticipantState",
     "Phase",
     "Receipt",
@@ -163,6 +166,7 @@ __all__ = [
     "load_participant",
     "load_revocation_list",
     "matching",
+    "overview_of",
     "participant_states",
     "policy_entry",
     "read_anchors",

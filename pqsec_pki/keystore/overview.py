@@ -1,0 +1,90 @@
+"""What a keystore is: its CAs, profile, domains and participants."""
+
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore.authorities import SigningCa, ca_key_files
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Overview:
+    """A keystore, without a private key of it."""
+
+    keystore: Path
+    profile: Profile
+    domains: DomainSet
+    keys: str
+    """Whether the CA keys are encrypted, in tokens, missing, or not readable for this user."""
+    key_uris: dict[str, str]
+    """The CA keys that are not in files; without those of a CA that cannot be read."""
+    cas: tuple[tuple[str, Certificate], ...]
+    """The role of each CA, and its certificate."""
+    participants: tuple[str, ...]
+
+    def to_json(self) -> dict[str, object]:
+        """The overview for --json."""
+        return {
+            "keystore": self.keystore,
+            **self.profile.to_names(),
+            "domains": str(self.domains),
+            "keys": self.keys,
+            "key_uris": self.key_uris,
+            "cas": [{"role": role, **each.to_json()} for role, each in self.cas],
+            "participants": self.participants,
+        }
+
+
+def overview_of(keystore: Keystore) -> Overview:
+    """The overview of the keystore; errors as of its CAs' files and folders."""
+    return Overview(
+        keystore=keystore.root,
+        profile=keystore.profile,
+        domains=keystore.domains,
+        cas=tuple(_cas(keystore)),
+        keys=_keys(keystore),
+        key_uris=_uris(keystore),
+        participants=tuple(keystore.names()),
+    )
+
+
+def _cas(keystore: Keystore) -> Iterator[tuple[str, Certificate]]:
+    yield "identity CA", keystore.identity_ca
+    yield "permissions CA", keystore.permissions_ca
+    if keystore.countersigner:
+        yield "countersigner", keystore.countersigner
+    if overlap := Overlap.of(keystore):
+        yield "trusted too", overlap.other
+
+
+def _keys(keystore: Keystore) -> str:
+    found = {ca: _keys_of(keystore, ca) for ca in SigningCa}
+    if len({*found.values()}) == 1:
+        return found[SigningCa.IDENTITY]
+    return ", ".join(f"those of the {ca} {words}" for ca, words in found.items())
+
+
+def _keys_of(keystore: Keystore, ca: SigningCa) -> str:
+    try:
+        if len(keystore.key_uris([ca])) == len(ca_key_files(keystore.profile, [ca])):
+            return "not in files"
+        return "encrypted" if keystore.is_locked([ca]) else "not encrypted"
+    except KeystoreError:
+        return "not here"
+    except FileError:
+        return "not readable from here"
+
+
+def _uris(keystore: Keystore) -> dict[str, str]:
+    found: dict[str, str] = {}
+    for ca in SigningCa:
+        with suppress(KeystoreError, FileError):
+            found |= keystore.key_uris([ca])
+    return found
