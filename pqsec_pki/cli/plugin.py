@@ -117,15 +117,13 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         return
     units = units_folder(os.environ) if systemd else None
     built = build(folder, units=units, force=force)
-    value: dict[str, object] = {"library": built.library, "links": built.links}
     lines = [
         f"library   {built.library}",
         f"ROS 2     put {built.library.parent} first in LD_LIBRARY_PATH",
     ]
     if built.units:
-        value["units"] = built.units
         lines += [f"systemd   {units}", "", *_START]
-    _printing.emit(value, lines)
+    _printing.emit(built.to_json(), lines)
 
 
 def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None:
@@ -134,46 +132,28 @@ def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None
     from pqsec_pki.vendors.fastdds_adapter import install as install_fastdds  # noqa: PLC0415
 
     stack = examine(library.absolute() if library else find_fastdds())
-    preload = install_fastdds(stack, folder, here(), force=force)
-    value = {
-        "library": stack.library.path,
-        "build": stack.library.build,
-        "preload": preload,
-    }
+    made = install_fastdds(stack, folder, here(), force=force)
     lines = [
-        f"{stack.title}   {stack.library.path}",
-        f"preload   {preload}",
+        f"{stack.title}   {made.library}",
+        f"preload   {made.preload}",
         "          set LD_PRELOAD to it, as `pqsec export fastdds NAME --plugin` says",
     ]
-    _printing.emit(value, lines)
+    _printing.emit(made.to_json(), lines)
 
 
 def _install_opendds(folder: Path, root: Path | None, *, force: bool) -> None:
-    from pqsec_pki.vendors import (  # noqa: PLC0415 -- for OpenDDS alone
-        OPENDDS_FACTORY,
-        OPENDDS_LINK,
-        find_opendds,
-        install_opendds,
-    )
+    from pqsec_pki.vendors import find_opendds, install_opendds  # noqa: PLC0415 -- for it alone
     from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- likewise
 
     stack = find_opendds(root, os.environ)
-    adapter = install_opendds(stack, folder, here(), force=force)
-    first = (folder / OPENDDS_LINK).parent
-    value = {
-        "root": stack.root,
-        "library": stack.library.path,
-        "adapter": adapter,
-        "factory": OPENDDS_FACTORY,
-        "first": first,
-    }
+    made = install_opendds(stack, folder, here(), force=force)
     lines = [
-        f"{stack.title}   {stack.root}",
-        f"adapter   {adapter}",
+        f"{stack.title}   {made.root}",
+        f"adapter   {made.adapter}",
         "          your program loads it with the header of `pqsec export opendds NAME --plugin`;",
-        f"          or put {first} first in LD_LIBRARY_PATH",
+        f"          or put {made.first} first in LD_LIBRARY_PATH",
     ]
-    _printing.emit(value, lines)
+    _printing.emit(made.to_json(), lines)
 
 
 @plugin.command(

@@ -43,6 +43,11 @@ class Built:
     units: tuple[Path, ...] = ()
     """Of systemd, if they were wanted."""
 
+    def to_json(self) -> dict[str, object]:
+        """The files for --json."""
+        units = {"units": self.units} if self.units else {}
+        return {"library": self.library, "links": self.links, **units}
+
 
 def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Built:
     """Compile the shim into `folder`, with the links that ROS 2 needs.

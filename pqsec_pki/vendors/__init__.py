@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pqsec_pki.vendors.exports import Export, Options, write
     from pqsec_pki.vendors.fastdds_library import FastDds, examine, find_fastdds
     from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
-    from pqsec_pki.vendors.opendds_adapter import OPENDDS_FACTORY, OPENDDS_LINK, install_opendds
+    from pqsec_pki.vendors.opendds_adapter import OpenDdsPlugin, install_opendds
     from pqsec_pki.vendors.opendds_library import OpenDds, find_opendds
     from pqsec_pki.vendors.own_plugin import FASTRTPS
     from pqsec_pki.vendors.plugin_files import (
@@ -34,8 +34,6 @@ else:
 __all__ = [
     "EXPORTERS",
     "FASTRTPS",
-    "OPENDDS_FACTORY",
-    "OPENDDS_LINK",
     "TRUST",
     "Check",
     "Export",
@@ -44,6 +42,7 @@ __all__ = [
     "InstalledPlugin",
     "Library",
     "OpenDds",
+    "OpenDdsPlugin",
     "Options",
     "Recognised",
     "StackEnclave",

@@ -12,6 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
+from dataclasses import asdict
 from os import environ
 from pathlib import Path
 
@@ -129,8 +130,25 @@ def _refuse_unlike(stack: FastDds, adapter: Path) -> None:
             )
 
 
-def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool = False) -> Path:
-    """Compile both into `folder`, with a record of the library; the path of the preload library.
+@dataclass(frozen=True, slots=True)
+class FastDdsPlugin:
+    """A plugin that was compiled, and the library that it is for."""
+
+    library: Path
+    build: str
+    """The build ID of the library."""
+    preload: Path
+    """For LD_PRELOAD."""
+
+    def to_json(self) -> dict[str, object]:
+        """The plugin for --json."""
+        return asdict(self)
+
+
+def install(
+    stack: FastDds, folder: Path, compilers: Compilers, *, force: bool = False
+) -> FastDdsPlugin:
+    """Compile both into `folder`, with a record of the library.
 
     An adapter for an earlier build at the same path is removed. ExistsError if a working adapter
     for this build is installed, unless `force`; other errors as of compile_adapter.
@@ -158,7 +176,7 @@ def install(stack: FastDds, folder: Path, compilers: Compilers, *, force: bool =
             if each.library == stack.library.path and each.build != stack.library.build:
                 for name in (ADAPTER, RECORD):
                     (folder / name.format(each.build)).unlink(missing_ok=True)
-    return folder / PRELOAD
+    return FastDdsPlugin(stack.library.path, stack.library.build, folder / PRELOAD)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -10,6 +10,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import asdict
 from pathlib import Path
 
 from pqsec_pki import _files
@@ -101,10 +102,27 @@ def _standard(stack: OpenDds, folder: Path, compilers: Compilers) -> str:
     return probe(last)
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenDdsPlugin:
+    """A plugin that was compiled, and the OpenDDS that it is for."""
+
+    root: Path
+    library: Path
+    adapter: Path
+    factory: str = OPENDDS_FACTORY
+    """For the directive that loads the adapter."""
+    first: Path
+    """The folder of the link, for LD_LIBRARY_PATH."""
+
+    def to_json(self) -> dict[str, object]:
+        """The plugin for --json."""
+        return asdict(self)
+
+
 def install_opendds(
     stack: OpenDds, folder: Path, compilers: Compilers, *, force: bool = False
-) -> Path:
-    """Compile the adapter into `folder`, with its link and a record; the path of the adapter.
+) -> OpenDdsPlugin:
+    """Compile the adapter into `folder`, with its link and a record.
 
     ExistsError if one is installed that runs, unless `force`; CompileError if it cannot be
     compiled; FileError as make_folder.
@@ -132,7 +150,12 @@ def install_opendds(
         link.unlink(missing_ok=True)
         link.symlink_to(Path("..", OPENDDS))
         _files.write(folder / OPENDDS_RECORD, json.dumps(value).encode() + b"\n", force=True)
-    return folder / OPENDDS
+    return OpenDdsPlugin(
+        root=stack.root,
+        library=stack.library.path,
+        adapter=folder / OPENDDS,
+        first=link.parent,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

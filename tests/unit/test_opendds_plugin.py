@@ -177,7 +177,7 @@ def test_a_library_without_the_factories_is_not_installed(root, tmp_path):
 def test_it_is_listed_until_opendds_is_built_again_and_removed_with_its_link(root, tmp_path):
     stack, folder = find_opendds(root(), {}), tmp_path / "plugin"
     assert installed_opendds(folder) is None
-    assert install_opendds(stack, folder, pretended(BOTH)) == folder / OPENDDS
+    assert install_opendds(stack, folder, pretended(BOTH)).adapter == folder / OPENDDS
     assert (folder / OPENDDS_LINK).resolve() == folder / OPENDDS
     (found,) = installed_plugins(folder)
     assert (found.stack, found.title, found.problem) == ("opendds", "OpenDDS 3.13.3", "")
