@@ -217,7 +217,8 @@ def _refuse_token(exporter: Exporter, enclave: StackEnclave, options: Options) -
         raise VerificationError(
             f"the key of {enclave.name} is in a token, and {exporter.stack.product}'s own plugin is"
             " not known to take one",
-            hint=f"{way}issue it with a key in a file: --force --participant-key-uri file",
+            hint=f"{way}issue it with a key in a file, and all its rights: --force"
+            " --participant-key-uri file",
         )
 
 

@@ -40,6 +40,11 @@ JUSTIFIED = {
     " signed file, or review governance.xml and `pqsec -k * sign-governance * --force`": (
         "it replaces a governance that no stack accepts, and says to review it first"
     ),
+    "`pqsec verify-handshake` asks the token. For a key in a file: `pqsec issue --force"
+    " --participant-key-uri file`, with all rights of the participant.": SAYS_WHAT,
+    "*issue it with a key in a file, and all its rights: --force --participant-key-uri file": (
+        SAYS_WHAT
+    ),
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
 SHOWN = {"examples", "bad", "good"}
@@ -49,7 +54,7 @@ WORDS = ("all its", "--ros-node", "plugin install")
 
 
 def texts(path: Path) -> Iterator[str]:
-    """Those of a module that have --force, with * for what is filled in; no options or examples."""
+    """Those of a module with --force, with * for what is filled in; no options or examples."""
     tree = ast.parse(path.read_text())
     passed = set()
     for node in ast.walk(tree):
@@ -74,7 +79,8 @@ def texts(path: Path) -> Iterator[str]:
 
 
 def test_each_hint_that_has_force_has_its_reason():
-    found = {text for path in ROOT.rglob("*.py") for text in texts(path)}
+    paths = [path for path in ROOT.rglob("*.py") if "--force" in path.read_text()]
+    found = {text for path in paths for text in texts(path)}
     assert found == set(JUSTIFIED)
 
 

@@ -67,8 +67,8 @@ def unreadable_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     "PQS328", Severity.INFO, "a key in a token was not checked",
     why="The file refers to a key elsewhere, which this check does not ask for. Whether it is the"
     " certificate's is unknown. Stacks' own plugins take no such file, and pqsec's does.",
-    fix="`pqsec verify-handshake` asks the token. A key in a file again: `pqsec issue --force"
-    " --participant-key-uri file`.",
+    fix="`pqsec verify-handshake` asks the token. For a key in a file: `pqsec issue --force"
+    " --participant-key-uri file`, with all rights of the participant.",
     bad="""
         $ echo '-----BEGIN PKCS#11 PROVIDER URI-----' > reference
         $ echo MDsaGVBLQ1MjMTEgUHJvdmlkZXIgVVJJIHYxLjAMHnBrY3MxMTp0b2tlbj1sYWI7 >> reference
