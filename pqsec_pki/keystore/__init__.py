@@ -15,8 +15,10 @@ Its content:
 The ledger:
     _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
-    _ledger_file  reads the database file, and replaces it as a whole
-    _ledger       the database and its queries
+    _ledger       a copy of the lines in memory, and its queries
+    _store        what it needs of the place that keeps the lines
+    _file_store   that place: a file in private/
+    _ledger_file  reads that file, and replaces it as a whole
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
     _entries      the lines for what is issued and signed

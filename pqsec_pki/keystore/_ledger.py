@@ -3,14 +3,14 @@
 import json
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from types import TracebackType
 from typing import Any, Self, TypeAlias
 
 from pqsec_pki.errors import KeystoreError, PqsecError
-from pqsec_pki.keystore import _ledger_file, _table, layout
+from pqsec_pki.keystore import _table
 from pqsec_pki.keystore._chain import Entry, Line
-from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._store import MAX_TEXT, LedgerStore
 
 _DETAIL = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
 _PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row that has it
@@ -48,28 +48,19 @@ Row: TypeAlias = tuple[int, str, str, str, str]
 """Number, kind, name, SHA-256 and chain value of a line."""
 _ORIGIN = 32
 """Hexadecimal digits of a chain value that name a ledger."""
-MAX_TEXT = 16 << 20
-"""Bytes of one text in a line, or of all names in a question; our own lines have under 10,000."""
 
 
 class Ledger:
-    """A copy of the database in memory, as of its creation."""
+    """A copy in memory of the lines in a store, as of its creation."""
 
-    def __init__(self, private: Folder, *, begin: bool = False) -> None:
-        """Read it from the folder `private`; KeystoreError if it is missing, unless `begin`."""
-        self._path, self._begin = f"{private.path}/{layout.LEDGER}", begin
+    def __init__(self, store: LedgerStore) -> None:
+        """Load it; KeystoreError if it is missing there, or is no ledger."""
+        self._place = store.place
         self._database = sqlite3.connect(":memory:", isolation_level=None)
         try:
             with self._errors("not a ledger: "):
-                data = _ledger_file.load(private)
-                if data is None and not begin:
-                    raise self._lost()
-                if data:
-                    self._database.deserialize(data)
                 self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TEXT)
-                # The file may contain views and triggers that others put there.
-                self._database.execute("PRAGMA trusted_schema = OFF")
-                self._prepare()
+                store.load(self._database)
         except (PqsecError, OSError):
             self._database.close()
             raise
@@ -91,13 +82,13 @@ class Ledger:
 
     def append(self, entries: Iterable[Entry]) -> None:
         """Add these lines in memory, all or none; existing lines are skipped."""
-        with self._errors(), self._transaction():
+        with self._errors(), _table.transaction(self._database):
             _table.append(self._database, entries)
 
-    def added(self, entries: Iterable[Entry]) -> bytes:
-        """The database file with these lines added, as by `append`."""
-        self.append(entries)
-        return self._database.serialize()
+    def to_file(self) -> bytes:
+        """The lines as an SQLite database."""
+        with self._errors():
+            return self._database.serialize()
 
     @property
     def head(self) -> str:
@@ -186,42 +177,6 @@ class Ledger:
             )
             return [_table.entry(row) for row in rows]
 
-    def _prepare(self) -> None:
-        """Create the table, or convert one of format 1."""
-        if _table.format_of(self._database) == _table.FORMAT:
-            if not _table.is_our_own(self._database):
-                raise KeystoreError(
-                    f"{self._path}: not a ledger: another program made or changed its table",
-                    hint="restore it from a backup",
-                )
-            return
-        with self._transaction():
-            found = _table.format_of(self._database)
-            if found > _table.FORMAT:
-                raise KeystoreError(f"{self._path}: made by a newer pqsec (format {found})")
-            if found < _table.FORMAT:
-                if not (self._begin or _table.has_format_1(self._database)):
-                    raise self._lost()
-                _table.make(self._database)
-
-    def _lost(self) -> KeystoreError:
-        """The error for a lost ledger: a new one would lack the revocations."""
-        return KeystoreError(
-            f"{self._path} is missing or empty: it alone records what was issued and revoked",
-            hint="restore it from a backup; without one, see docs/reference/keystore.md, Backups",
-        )
-
-    @contextmanager
-    def _transaction(self) -> Iterator[None]:
-        self._database.execute("BEGIN IMMEDIATE")
-        try:
-            yield
-            self._database.execute("COMMIT")
-        except BaseException:
-            with suppress(sqlite3.Error):
-                self._database.execute("ROLLBACK")
-            raise
-
     @contextmanager
     def _errors(self, otherwise: str = "") -> Iterator[None]:
         """Turn errors of the database into KeystoreError."""
@@ -229,24 +184,5 @@ class Ledger:
             yield
         except (sqlite3.Error, ValueError, TypeError, OverflowError, RecursionError) as error:
             raise KeystoreError(
-                f"{self._path}: {otherwise}{error}", hint="restore it from a backup"
+                f"{self._place}: {otherwise}{error}", hint="restore it from a backup"
             ) from error
-
-
-def check(private: Folder, *, begin: bool) -> None:
-    """KeystoreError or PermissionError if no lines could be added now."""
-    _ledger_file.check(private)
-    Ledger(private, begin=begin).close()
-
-
-def add(private: Folder, entries: Iterable[Entry], beside: Folder, *, begin: bool) -> None:
-    """Add lines to the ledger, all or none, with a temporary file in the folder `beside`.
-
-    May be repeated. KeystoreError if there is no ledger, unless `begin`.
-    """
-    _ledger_file.check(private)
-    if begin or private.kind(layout.LEDGER) is not None:  # the log of a lost ledger is kept
-        _ledger_file.settle(private, beside)
-    with Ledger(private, begin=begin) as ledger:
-        data = ledger.added(entries)
-    _ledger_file.save(private, data, beside)

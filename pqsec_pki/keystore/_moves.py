@@ -18,7 +18,7 @@ from operator import attrgetter
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _ledger, _shredding, layout
+from pqsec_pki.keystore import _file_store, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._transaction import Transaction, refuse_detours
@@ -100,7 +100,7 @@ def finish(root: Folder) -> None:
             _remove(root, place)
         if moves.entries:
             with root.below(layout.PRIVATE) as private:
-                _ledger.add(private, moves.entries, journal, begin=moves.begins_ledger)
+                _file_store.add(private, moves.entries, journal, begin=moves.begins_ledger)
         sync_filesystem(root.handle)
         _shredding.shred(journal)
     spent = f"{DRAFT}{secrets.token_hex(8)}"

@@ -15,9 +15,10 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
 from pqsec_pki._owners import operator
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _ledger, _shredding, layout
+from pqsec_pki.keystore import _file_store, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
+from pqsec_pki.keystore._ledger import Ledger
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore.authorities import Authorities
@@ -138,13 +139,13 @@ class Transaction:
                 public.public(name, data)
 
     @contextmanager
-    def _ledger(self) -> Iterator[_ledger.Ledger]:
+    def _ledger(self) -> Iterator[Ledger]:
         """The ledger as it is; a new one for a keystore that is being created."""
         begin = self.begins_ledger
         there = self.root.kind(layout.PRIVATE) is not None
         with ExitStack() as stack:
             folder = stack.enter_context(self.root.below(layout.PRIVATE)) if there else self.made
-            yield stack.enter_context(_ledger.Ledger(folder, begin=begin))
+            yield stack.enter_context(Ledger(_file_store.FileStore(folder, begin=begin)))
 
     def refuse_folders(self) -> None:
         """KeystoreError if a staged file would have to replace a folder."""
@@ -164,7 +165,7 @@ class Transaction:
 def _check_ledger(root: Folder, *, begin: bool) -> None:
     """Check before the commit that the ledger is in place and can be written."""
     with suppress(FileNotFoundError), root.below(layout.PRIVATE) as private:
-        _ledger.check(private, begin=begin)
+        _file_store.check(private, begin=begin)
 
 
 def refuse_detours(root: Folder, targets: Iterable[str]) -> None:

@@ -25,6 +25,7 @@ from pqsec_pki.errors import (
 from pqsec_pki.keystore import _journal, _settings, layout
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
+from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import (
@@ -378,7 +379,7 @@ class Keystore:
             Folder.opened(self.root) as root,
             root.below(layout.PRIVATE) as private,
         ):
-            return Ledger(private)
+            return Ledger(FileStore(private))
 
 
 def _not_a_keystore(root: Path) -> KeystoreError:

@@ -14,7 +14,7 @@ import pytest
 
 from pqsec_pki import _owners
 from pqsec_pki.errors import FileError, KeystoreError, UsageError, VerificationError
-from pqsec_pki.keystore import Entry, Keystore, _journal, _ledger, audit, status
+from pqsec_pki.keystore import Entry, Keystore, _file_store, _journal, audit, status
 from pqsec_pki.keystore._chain import START
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.lifecycle import renew, revoke
@@ -129,7 +129,7 @@ def test_a_line_that_is_there_already_is_not_added_again(keystore):
 def test_one_ca_gives_a_serial_number_once_only(keystore):
     enter(keystore, [entry(1)])
     with keystore.open_ledger() as ledger, pytest.raises(KeystoreError, match="UNIQUE"):
-        ledger.added([entry(2), entry(3, serial="1")])
+        ledger.append([entry(2), entry(3, serial="1")])
     enter(keystore, [entry(4, serial="1", issuer="another")])
     assert [each.name for each in keystore.ledger()][-2:] == ["/p1", "/p4"]
 
@@ -137,7 +137,7 @@ def test_one_ca_gives_a_serial_number_once_only(keystore):
 @pytest.mark.parametrize("text", ["\ud800", "a\0b", "'; DROP TABLE ledger; --", "é" * 1000])
 def test_any_text_can_be_entered_or_is_refused(keystore, text):
     with keystore.open_ledger() as ledger, suppress(KeystoreError):
-        ledger.added([entry(1, name=text)])
+        ledger.append([entry(1, name=text)])
         assert ledger.of_name("participant", text) == [entry(1, name=text)]
     audit(keystore)
 
@@ -235,7 +235,7 @@ def test_a_ledger_written_anew_shows_by_a_head_that_was_noted(keystore):
     # By who can write it: the same, but for one thing in each line.
     with Folder.opened(keystore.root / "private") as private:
         others = [replace(each, operator="nobody") for each in entries]
-        _ledger.add(private, others, private, begin=True)
+        _file_store.add(private, others, private, begin=True)
     audit(keystore)
     with pytest.raises(VerificationError, match="the head is not in the ledger"):
         audit(keystore, head)

@@ -1,0 +1,21 @@
+"""Where the lines of a ledger are kept: what `Ledger` and the journal need of such a place."""
+
+import sqlite3
+from typing import Protocol
+
+MAX_TEXT = 16 << 20
+"""Bytes of one text in a line, or of all names in a question; our own lines have under 10,000."""
+
+
+class LedgerStore(Protocol):
+    """A place that keeps the lines; the file in `private/` is one."""
+
+    @property
+    def place(self) -> str:
+        """Its path or address, for messages."""
+
+    def load(self, database: sqlite3.Connection) -> None:
+        """Fill an empty database in memory with the table and its lines.
+
+        KeystoreError if there is no ledger; errors of SQLite if it is not one.
+        """
