@@ -100,6 +100,7 @@ MAY_IMPORT["benchmark"] = {
     *("trial", "vendors", "lifecycle", "keystore"),
 }
 MAY_IMPORT["estimation"] = {"handshake", "keystore", "credentials", "algorithms"}
+MAY_IMPORT["est"] = MAY_IMPORT["enrolment"] | {"enrolment"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.
@@ -110,6 +111,7 @@ ONLY_IN = {
     "cyclonedx": {"cbom"},
     "lxml": {"documents"},
     "matplotlib": {"benchmark"},
+    "OpenSSL": {"est"},
     "pkcs11": {"tokens"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"vendors", "report"},

@@ -1,0 +1,41 @@
+"""Enrolment over a network: EST (RFC 7030) and pqsec's own requests for whole bundles.
+
+TLS for both sides (`tls.py`, the only user of pyOpenSSL, which is an extra of the package), and
+the file with a robot's enrolment token (`token_file.py`). A module that uses TLS is imported in
+`needs_extra`, which says how to get the library.
+"""
+
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.est.extra import needs_extra
+    from pqsec_pki.est.tls import (
+        GROUP,
+        ServerTrust,
+        TlsIdentity,
+        client_context,
+        peer_certificate,
+        refuse_classical,
+        server_context,
+        spki_pin,
+    )
+    from pqsec_pki.est.token_file import EnrolmentToken, checked_url, is_secret
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "GROUP",
+    "EnrolmentToken",
+    "ServerTrust",
+    "TlsIdentity",
+    "checked_url",
+    "client_context",
+    "is_secret",
+    "needs_extra",
+    "peer_certificate",
+    "refuse_classical",
+    "server_context",
+    "spki_pin",
+]
