@@ -124,18 +124,18 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     specs = [replace(spec, keys=keys.get(spec.name)) for spec in wanted.specs(names, domain_set)]
     if into:  # refused before the passphrase is asked for
         enrolment.bundle_paths(names, into, force=force)
-    governance, recipient = _read_governance(keystore), _bundles.recipient(seal_for)
+    governance = _read_governance(keystore)
+    to = (into, _bundles.recipient(seal_for)) if into else None
     issued, bundles = _made(
         keystore,
         _unlocked(keystore, passphrase_file, certificate_only=certificate_only),
         specs,
-        into,
-        recipient,
+        to,
+        certificate_only=certificate_only,
         now=_settings.now(),
         force=force,
         after_revocation=after_revocation,
         compromised_keys=compromised_keys,
-        **({"sign_permissions": False} if certificate_only else {}),
     )
     if certificate_only:
         _note_rights(issued)
@@ -161,15 +161,18 @@ def _made(
     keystore: Keystore,
     authorities: Authorities,
     specs: list[ParticipantSpec],
-    into: Path | None,
-    recipient: SealingPublicKey | None,
+    to: tuple[Path, SealingPublicKey | None] | None,
+    *,
+    certificate_only: bool,
     **choices: Any,
 ) -> "tuple[list[Issued], list[enrolment.IssuedBundle]]":
-    """What was issued, and the bundles that were written, if there is a folder for them."""
-    if into is None:
-        return _issued(keystore, authorities, specs, **choices), []
+    """What was issued; and the bundles, if there is a folder for them and who opens them."""
+    if to is None:
+        signs = not certificate_only
+        return _issued(keystore, authorities, specs, sign_permissions=signs, **choices), []
+    folder, recipient = to
     bundles = enrolment.issue_with_bundles(
-        keystore, authorities, specs, into, recipient=recipient, **choices
+        keystore, authorities, specs, folder, recipient=recipient, **choices
     )
     return [each.issued for each in bundles], bundles
 

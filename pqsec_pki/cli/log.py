@@ -31,6 +31,17 @@ _COLUMNS = (
 _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 
 
+def _head(context: click.Context, parameter: click.Parameter, value: str | None) -> str | None:
+    """The value of --head; UsageError if it is not a head."""
+    del context, parameter
+    if value is None or _HEAD.fullmatch(value):
+        return value
+    raise UsageError(
+        f"{value!r} is not a head: it has {_SHA256} hexadecimal digits",
+        hint="`pqsec log --verify` prints it",
+    )
+
+
 @_help.command(
     examples={
         "Show the ledger": "pqsec log",
@@ -62,7 +73,10 @@ _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
     "--verify", is_flag=True, help="Check that no line was changed or removed, and none is missing."
 )
 @click.option(
-    "--head", metavar="HASH", help="Check against the head that an earlier --verify printed."
+    "--head",
+    metavar="HASH",
+    callback=_head,
+    help="Check against the head that an earlier --verify printed.",
 )
 @click.option(
     "--anchor",
@@ -101,18 +115,10 @@ def log(  # noqa: PLR0913 -- one for each option, by name
     --verify --anchor DIR tells whether the end was cut off, lines were rewritten, or the CAs
     signed two histories, and from which line on.
     """
-    if head is not None and not _HEAD.fullmatch(head):
-        raise UsageError(
-            f"{head!r} is not a head: it has {_SHA256} hexadecimal digits",
-            hint="`pqsec log --verify` prints it",
-        )
     _formats.chosen(form)
     verify = verify or head is not None
-    if (verify or sign or anchors) and (names or since or form == _formats.CSV):
-        raise UsageError(
-            "--verify, --head, --sign and --anchor are for all lines: they exclude NAME, --since"
-            " and csv"
-        )
+    if verify or sign or anchors:
+        _refuse_parts(names, since, form)
     if sign and verify:
         raise UsageError("--sign excludes --verify and --head")
     keystore = _settings.open_keystore(to_change=sign)
@@ -123,9 +129,20 @@ def log(  # noqa: PLR0913 -- one for each option, by name
         _sign(keystore, passphrase_file, quiet=anchors is not None)
     if anchors:
         _anchor(keystore, anchors)
-    if sign or anchors:
-        return
-    lines = _lines(keystore, names, since)
+    if not sign and not anchors:
+        _show(_lines(keystore, names, since), form)
+
+
+def _refuse_parts(names: tuple[str, ...], since: datetime | None, form: str) -> None:
+    """UsageError if only a part of the ledger is asked for."""
+    if names or since or form == _formats.CSV:
+        raise UsageError(
+            "--verify, --head, --sign and --anchor are for all lines: they exclude NAME, --since"
+            " and csv"
+        )
+
+
+def _show(lines: list[Line], form: str) -> None:
     _formats.emit(
         form,
         {"lines": lines},

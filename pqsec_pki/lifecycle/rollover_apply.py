@@ -116,28 +116,56 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
             raise KeystoreError(
                 "the keystore was changed after the plan was made", hint="run the command again"
             )
-        new, issued, overlap = keystore, [], plan.overlap
+        made = _NewCas(plan, passphrase, pin, keys, now)
         if plan.terms.reissues:
-            new = replace(keystore, profile=plan.terms.profile)
-            if kept and overlap:
-                following = next_identity_ca(keystore, overlap.other, passphrase, pin)
-                cas = replace(kept, identity=following)
-            else:
-                cas = _replaced(plan, kept, new_cas(plan, now, keys))
+            cas = made.following(keystore, kept)
             transaction.authorities = cas
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
+            new = replace(keystore, profile=plan.terms.profile)
             execution = _Execution(keystore, new, plan, cas, transaction, inspector, lines, now)
-            issued = execution.run(passphrase, ledger)
-        elif overlap is None:
-            overlap = begin_overlap(
-                keystore, plan, transaction, passphrase=passphrase, now=now, keys=keys
-            )
-        elif plan.terms.overlap is OverlapStep.FINISH:
-            finish_overlap(overlap, transaction, now)
+            issued, overlap = execution.run(passphrase, ledger), plan.overlap
         else:
-            cancel_overlap(overlap, transaction, now)
+            new, issued = keystore, []
+            overlap = made.overlapping(keystore, transaction)
     return RolloverResult(plan=plan, keystore=new, issued=issued, overlap=overlap)
+
+
+@dataclass(frozen=True, slots=True)
+class _NewCas:
+    """What the CAs are made of that follow those of a keystore."""
+
+    plan: RolloverPlan
+    passphrase: bytes | None
+    pin: Pin | None
+    keys: Keys
+    now: datetime
+
+    def following(self, keystore: Keystore, kept: Authorities | None) -> Authorities:
+        """The CAs that issue and sign from now on; `kept` are those of the keystore."""
+        if kept and self.plan.overlap:
+            other = self.plan.overlap.other
+            following = next_identity_ca(keystore, other, self.passphrase, self.pin)
+            return replace(kept, identity=following)
+        return _replaced(self.plan, kept, new_cas(self.plan, self.now, self.keys))
+
+    def overlapping(self, keystore: Keystore, transaction: Transaction) -> Overlap:
+        """The overlap that the plan begins, finishes or cancels."""
+        overlap = self.plan.overlap
+        if overlap is None:
+            return begin_overlap(
+                keystore,
+                self.plan,
+                transaction,
+                passphrase=self.passphrase,
+                now=self.now,
+                keys=self.keys,
+            )
+        if self.plan.terms.overlap is OverlapStep.FINISH:
+            finish_overlap(overlap, transaction, self.now)
+        else:
+            cancel_overlap(overlap, transaction, self.now)
+        return overlap
 
 
 def _replaced(plan: RolloverPlan, kept: Authorities | None, new: Authorities) -> Authorities:
