@@ -37,7 +37,7 @@ class DocumentCommands(Generic[Value]):
     def add_to(self, group: click.Group) -> None:
         """Add render, read and schema to the group with the document's name."""
         name = str(group.name)
-        for command in (self._render(name), self._read(name), _schema(name)):
+        for command in (self._render(name), self._read(name), schema_command(name)):
             group.add_command(command)
 
     def _render(self, name: str) -> click.Command:
@@ -93,7 +93,9 @@ class DocumentCommands(Generic[Value]):
         return read
 
 
-def _schema(name: str) -> click.Command:
+def schema_command(name: str) -> click.Command:
+    """`schema` of the group with that name."""
+
     @_help.command(
         examples={"Write the schema for an editor": f"pqsec {name} schema -o {name}.schema.json"},
         exit_codes={

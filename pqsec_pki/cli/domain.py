@@ -1,4 +1,4 @@
-"""pqsec domain: write a domain file from what there is."""
+"""pqsec domain: write a domain file from what there is, and its schema."""
 
 from itertools import groupby
 from pathlib import Path
@@ -7,6 +7,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _help, _policy, _printing, _settings
+from pqsec_pki.cli._document_commands import schema_command
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.domain import Imported, import_domain
 
@@ -15,6 +16,9 @@ from pqsec_pki.domain import Imported, import_domain
 @_settings.command_options
 def domain() -> None:
     """Write a domain file from keystores and policies."""
+
+
+domain.add_command(schema_command("domain"))
 
 
 @domain.command(

@@ -54,6 +54,7 @@ WITHOUT = {
     *("sign-request export", "sign-request import", "algorithms", "approve", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),
+    "domain schema",
     *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),
     *(f"permissions {each}" for each in ("import", "new", "read", "render", "schema")),
 }

@@ -358,6 +358,7 @@ FAILS = {
     "estimate": "--participants 5 --costs nowhere.json",
     "demo": "robots",
     "governance new": "-o names.txt",
+    "domain schema": "-o names.txt",
     "governance schema": "-o names.txt",
     "permissions new": "/a -o names.txt",
     "permissions schema": "-o names.txt",

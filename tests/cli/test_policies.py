@@ -1,13 +1,18 @@
 """pqsec governance and pqsec permissions: from YAML to the XML that stacks read, and back."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 import yaml
 
 from pqsec_pki.documents import PRESETS, Governance, Permissions, governance_from_yaml, ros
+from tests.json_schemas import validator
 
+EXAMPLES = Path(__file__).parents[2] / "examples"
+OF_OTHERS = {"pqsec-alerts.yaml"}
+"""YAML in the examples that other programs read."""
 CORPUS = Path(__file__).parents[1] / "vectors/corpus/sros2"
 SAMPLE = CORPUS / "test/policies/sample.policy.xml"
 PRESET_NAMES = [preset.name for preset in PRESETS]
@@ -125,9 +130,33 @@ def test_signing_a_mistake_is_refused_in_the_same_words(pqsec, keystore, tmp_pat
     assert not (tmp_path / "bad.p7s").exists()
 
 
-@every_kind
-def test_the_schema_is_written_for_editors(pqsec, kind):
-    assert json.loads(pqsec(f"{kind} schema").done().out)["$id"] == f"urn:pqsec:schema:{kind}"
+@pytest.mark.parametrize(
+    ("kind", "command"),
+    [
+        ("domain", "plan --init new.yaml"),
+        ("governance", "governance new -o new.yaml"),
+        ("permissions", "permissions new /talker -o new.yaml"),
+    ],
+)
+def test_a_new_file_names_its_schema_for_editors(pqsec, tmp_path, kind, command):
+    pqsec(command).done()
+    text = (tmp_path / "new.yaml").read_text()
+    header, told = text.splitlines()[:2]
+    named = header.removeprefix("# yaml-language-server: $schema=")
+    pqsec(re.search("`pqsec (.*)`", told)[1]).done()
+    schema = json.loads((tmp_path / named).read_text())
+    assert schema["$id"] == f"urn:pqsec:schema:{kind}"
+    assert not list(validator(schema).iter_errors(yaml.safe_load(text)))
+
+
+@pytest.mark.parametrize("path", sorted(EXAMPLES.rglob("*.yaml")), ids=str)
+def test_the_yaml_files_of_the_examples_keep_to_the_schemas_that_they_name(path):
+    header = path.read_text().splitlines()[0]
+    if "$schema=" not in header:
+        assert path.name in OF_OTHERS
+        return
+    schema = json.loads((path.parent / header.split("$schema=")[1]).read_text())
+    assert not list(validator(schema).iter_errors(yaml.safe_load(path.read_text())))
 
 
 # SROS2

@@ -25,9 +25,8 @@ _PLACEHOLDERS = """In any text of a role, `$word` is filled for each participant
 The value of a column is not a pattern: `*`, `?`, `[` and `\\` are allowed only in roles and
 `values`."""
 _ABOUT = """The keys of governance and permissions ([Policies in YAML](../how-to/policies.md)) and
-of `domain.yaml` ([One file for a whole domain](../how-to/domain.md)). `pqsec governance schema` and
-`pqsec permissions schema` print the schemas, for editors;
-[domain.schema.json](../../schemas/domain.schema.json) is that of the domain file."""
+of `domain.yaml` ([One file for a whole domain](../how-to/domain.md)). `pqsec governance schema`,
+`pqsec permissions schema` and `pqsec domain schema` print the schemas, for editors."""
 
 
 def parts() -> Iterator[str]:
