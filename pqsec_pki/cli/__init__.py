@@ -47,6 +47,7 @@ COMMANDS = {
         "Record what robots run, from the receipts that `pqsec install` writes.",
     ),
     "sign-request": ("sign_request", "Sign requests with CAs on an offline machine."),
+    "ra": ("ra", "Let others order that new participants are enrolled, within limits."),
     "renew": ("renew", "Renew certificates and permissions, with the same rights as before."),
     "needs-renewal": (
         "renew",
@@ -106,7 +107,7 @@ GROUPS = {
         "demo ca adopt issue permit renew needs-renewal revoke status log plan approve apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
-        "request bundle-key bundle install rollback receipt sign-request"
+        "request bundle-key bundle install rollback receipt sign-request ra"
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (

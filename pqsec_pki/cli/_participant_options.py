@@ -24,6 +24,9 @@ _ROS = {
 }
 """Option -> function that returns the topics to publish and subscribe."""
 
+TOPIC_NAMES = ("publish", "subscribe", "ros_publish", "ros_subscribe", *_ROS)
+"""The names of the options for topics, as parameters."""
+
 _TOPICS = (
     click.option(
         "--publish",

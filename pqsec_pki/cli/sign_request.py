@@ -8,15 +8,22 @@ from typing import Any
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.cli import _bundles, _help, _passphrases, _printing, _settings
-from pqsec_pki.cli._participant_options import ParticipantOptions, participant_options
+from pqsec_pki.approvals import MAX_GRANT, RegistrationGrant, SignedGrant
+from pqsec_pki.cli import _approver, _bundles, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._participant_options import (
+    TOPIC_NAMES,
+    ParticipantOptions,
+    participant_options,
+)
 from pqsec_pki.documents import DomainSet
+from pqsec_pki.domain import OrderedIssue, ordered_issue, perform_order
 from pqsec_pki.enrolment import (
     MAX_ARCHIVE,
     NAMELESS,
     SignRequest,
     accept,
     name_asked_for,
+    ordered,
     pins_of,
     sign,
 )
@@ -36,6 +43,9 @@ def sign_request() -> None:
         "Collect the requests of two robots": (
             "pqsec sign-request export robot2.csr robot3.csr --publish rt/chatter -o fleet.request"
         ),
+        "Order an enrolment as a registration authority": (
+            "pqsec sign-request export robot2.csr --grant line1.grant --key line1.pem -o order"
+        ),
     },
     exit_codes={
         0: "the file is written",
@@ -52,17 +62,41 @@ def sign_request() -> None:
     help="Allow these DDS domains: 0, or 0-3, or 0,5.",
 )
 @participant_options
+@click.option(
+    "--grant",
+    type=_settings.FILE,
+    help="Order it as a registration authority: the file of its grant, from `pqsec ra add`.",
+)
+@click.option("--key", metavar="FILE|URI", help="With --grant: the RA's private key.")
+@click.option(
+    "--role",
+    metavar="ROLE",
+    help="With --grant: enrol them in this role.  [default: its only one]",
+)
+@_approver.passphrase_option
 @click.option("-o", "--output", type=_settings.FILE, required=True, help="Write to this file.")
 @_force
 @_settings.command_options
-def export(
-    requests: tuple[Path, ...], domains: str, output: Path, *, force: bool, **wanted: Any
+def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
+    requests: tuple[Path, ...],
+    domains: str,
+    grant: Path | None,
+    key: str | None,
+    role: str | None,
+    key_passphrase_file: Path | None,
+    output: Path,
+    *,
+    force: bool,
+    **wanted: Any,
 ) -> None:
     """Write requests of robots, and the rights they need, into one file.
 
     A keystore is not needed. Compare the SHA-256 that is printed with the one that
-    `pqsec sign-request sign` prints.
+    `pqsec sign-request sign` prints. With --grant and --key it is an order of a registration
+    authority, whose grant has the rights, and is performed without a question.
     """
+    if (grant is None) is not (key is None) or (role and not grant):
+        raise UsageError("--grant and --key belong together, and --role to them")
     found = _bundles.load_requests(requests)
     names = []
     for path, request in found:
@@ -74,8 +108,17 @@ def export(
             names.append(name)
     if len(set(names)) < len(names):
         raise UsageError("two requests have the same name")
-    specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
-    data = SignRequest(tuple(each for _, each in found), tuple(specs)).to_bytes(now=_settings.now())
+    csrs = tuple(each for _, each in found)
+    if grant and key is not None:
+        limits = _grant(grant)
+        _refuse_rights()
+        signer = _approver.key_at(key, key_passphrase_file)
+        validity = wanted["validity"] if _is_given("validity") else limits.longest
+        asked = ordered(csrs, limits, signer, role, validity=validity, now=_settings.now())
+    else:
+        specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
+        asked = SignRequest(csrs, tuple(specs))
+    data = asked.to_bytes(now=_settings.now())
     _files.write(output, data, force=force)
     sha256 = hashlib.sha256(data).hexdigest()
     value = {"written": output, "names": names, "sha256": sha256}
@@ -88,6 +131,9 @@ def export(
         "Show what is requested": "pqsec sign-request sign fleet.request --show",
         "Sign it, if all names are of the fleet": (
             "pqsec sign-request sign fleet.request -o fleet.answer --allow-name '/fleet/*'"
+        ),
+        "Perform what a registration authority ordered, in a script": (
+            "pqsec sign-request sign order -o answer --ra-only"
         ),
     },
     exit_codes={
@@ -106,19 +152,33 @@ def export(
     metavar="PATTERN",
     help="Refuse names that do not match, for example '/fleet/*'; repeatable.",
 )
+@click.option(
+    "--ra-only",
+    is_flag=True,
+    help="Refuse FILE unless a registration authority ordered it: for use without a human.",
+)
+@click.option(
+    "--anchor",
+    type=_settings.FOLDER,
+    metavar="DIR",
+    help="For an order: refuse it if the ledger lacks lines of the heads in DIR, from `pqsec log"
+    " --anchor`.",
+)
 @click.option("--show", is_flag=True, help="Show what is requested, and sign nothing.")
 @_force
 @click.option("--after-revocation", is_flag=True, help="Also issue participants that were revoked.")
 @_bundles.compromised_option
 @_passphrases.option
 @_settings.command_options
-def sign_(  # noqa: PLR0913 -- one for each option, by name
+def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     file: Path,
     output: Path | None,
     sha256: str | None,
     patterns: tuple[str, ...],
+    anchor: Path | None,
     passphrase_file: Path | None,
     *,
+    ra_only: bool,
     show: bool,
     force: bool,
     after_revocation: bool,
@@ -127,32 +187,46 @@ def sign_(  # noqa: PLR0913 -- one for each option, by name
     """Issue what a request file asks for, and write the answer.
 
     FILE is from `pqsec sign-request export`. Run this on the machine with the CA keys. What
-    was already issued for the same file is not issued again: you can repeat it.
+    was already issued for the same file is not issued again: you can repeat it. If a
+    registration authority ordered it, its grant decides, and the ledger records the order.
     """
     keystore = _settings.open_keystore(to_change=not show)
     asked = _read(file)
+    if asked.order and (force or after_revocation or compromised_keys):
+        raise UsageError(
+            "an order enrols new participants with new keys, and nothing else",
+            hint="--force, --after-revocation and --reuse-compromised-key are for other requests",
+        )
+    by: OrderedIssue | None = None
     with located(file):
         if sha256 and sha256.lower() != asked.sha256:
             raise VerificationError(f"its SHA-256 is {asked.sha256}")
+        if ra_only and not asked.order:
+            raise VerificationError("no registration authority ordered this")
         asked.admitted(keystore.profile, patterns)
+        if asked.order:
+            by = ordered_issue(asked, keystore, now=_settings.now(), anchors=anchor)
     if show:
-        _show(asked)
+        _show(asked, by)
         return
     if output is None:
         raise UsageError("no output file named", hint="use -o FILE, or --show to sign nothing")
     if not force:
         _files.refuse_existing(output)
     authorities = _passphrases.unlock(keystore, passphrase_file)
-    answer = sign(
-        asked,
-        keystore,
-        authorities,
-        now=_settings.now(),
-        patterns=patterns,
-        force=force,
-        after_revocation=after_revocation,
-        compromised_keys=compromised_keys,
-    )
+    if by:
+        answer = perform_order(asked, keystore, authorities, now=_settings.now(), anchors=anchor)
+    else:
+        answer = sign(
+            asked,
+            keystore,
+            authorities,
+            now=_settings.now(),
+            patterns=patterns,
+            force=force,
+            after_revocation=after_revocation,
+            compromised_keys=compromised_keys,
+        )
     with _printing.with_hint("the certificates are issued: run it again with another -o"):
         _files.write(output, answer, force=force)
     names = [spec.name for spec in asked.specs]
@@ -229,7 +303,48 @@ def _read(path: Path) -> SignRequest:
         return SignRequest.from_bytes(data)
 
 
-def _show(asked: SignRequest) -> None:
+def _grant(path: Path) -> RegistrationGrant:
+    with located(path):
+        return SignedGrant.from_file(_files.read(path, limit=MAX_GRANT)).grant
+
+
+def _is_given(option: str) -> bool:
+    source = click.get_current_context().get_parameter_source(option)
+    return source is click.core.ParameterSource.COMMANDLINE
+
+
+def _refuse_rights() -> None:
+    """UsageError for an option that names rights: those of a role are in the grant."""
+    rights = [each for each in (*TOPIC_NAMES, "policy", "domains") if _is_given(each)]
+    if rights:
+        raise UsageError(
+            f"--{rights[0].rstrip('s').replace('_', '-')} cannot be ordered: the grant has the"
+            " rights of each role",
+            hint="--role names one of them",
+        )
+
+
+def _show(asked: SignRequest, by: OrderedIssue | None) -> None:
+    if asked.order and by:
+        rows = [(each.name, each.role, _length(each.validity)) for each in asked.order.items]
+        value = {
+            "sha256": asked.sha256,
+            "ordered_by": by.authority,
+            "done": by.done,
+            "participants": [each.to_json() for each in asked.order.items],
+        }
+        done = ", and performed" if by.done else ""
+        lines = [
+            *_printing.table(("participant", "role", "for"), rows),
+            f"ordered by {by.authority}{done}; grant {asked.order.grant}",
+            f"SHA-256 {asked.sha256}",
+        ]
+        _printing.emit(value, lines)
+        return
+    _show_wishes(asked)
+
+
+def _show_wishes(asked: SignRequest) -> None:
     rows = [
         (
             spec.name,

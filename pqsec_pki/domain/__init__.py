@@ -3,7 +3,8 @@
 `read_domain` reads domain.yaml, `plan` compares it with the keystore's ledger and lists the
 steps, and `apply_plan` executes them. `apply` does all that in one call. `import_domain` makes a
 domain file of keystores and policies. Where changes need approvals, `propose` makes of a plan
-what people approve, and `approved_plan` what may be applied.
+what people approve, and `approved_plan` what may be applied. `perform_order` issues what a
+registration authority ordered.
 """
 
 from typing import TYPE_CHECKING
@@ -12,10 +13,12 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.domain._profile_change import change_profile
+    from pqsec_pki.domain._role_values import role_value
     from pqsec_pki.domain.applying import apply, apply_plan, create_keystore, refuse_mass_revocation
     from pqsec_pki.domain.approved import ApprovedPlan, approved_plan
     from pqsec_pki.domain.desired import Desired, Member, Role
     from pqsec_pki.domain.importing import Imported, import_domain
+    from pqsec_pki.domain.ordered import OrderedIssue, ordered_issue, perform_order
     from pqsec_pki.domain.planning import plan
     from pqsec_pki.domain.proposing import PlanReview, propose, refuse_unapproved
     from pqsec_pki.domain.reading import desired_in, new_domain, read_domain
@@ -29,6 +32,7 @@ __all__ = [
     "Desired",
     "Imported",
     "Member",
+    "OrderedIssue",
     "Plan",
     "PlanReview",
     "Role",
@@ -42,9 +46,12 @@ __all__ = [
     "desired_in",
     "import_domain",
     "new_domain",
+    "ordered_issue",
+    "perform_order",
     "plan",
     "propose",
     "read_domain",
     "refuse_mass_revocation",
     "refuse_unapproved",
+    "role_value",
 ]

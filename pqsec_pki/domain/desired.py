@@ -116,6 +116,8 @@ class Desired:
     renew_before: timedelta | None
     """None for a third of a certificate's validity."""
     governance: Governance
+    roles: Mapping[str, Role]
+    """By name."""
     members: Mapping[str, Member]
     """By name."""
     groups: Mapping[str, tuple[str, ...]]

@@ -102,7 +102,7 @@ def new_domain(name: str) -> bytes:
 
 _KEPT = (
     *("name", "profile", "domains", "ca_validity", "renew_before", "prune"),
-    *("stacks", "migrate_from"),
+    *("stacks", "migrate_from", "roles"),
 )
 
 
@@ -140,6 +140,7 @@ _DEFAULTS: Mapping[str, Any] = {
     "ca_validity": DEFAULT_CA_VALIDITY,
     "validity": YEAR,
     "renew_before": None,
+    "roles": {},
     "participants": (),
     "groups": {},
     "approvals": None,

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
     from pqsec_pki.enrolment.installing import Installed, install, removed_alone
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
-    from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, sign
+    from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, answered, ordered, sign
     from pqsec_pki.enrolment.outbox import refresh
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
     from pqsec_pki.enrolment.receipt_import import ImportedReceipt, import_receipts
@@ -50,6 +50,7 @@ __all__ = [
     "SignedReceipt",
     "VerifiedBundle",
     "accept",
+    "answered",
     "bundle_path",
     "bundle_paths",
     "fingerprint",
@@ -62,6 +63,7 @@ __all__ = [
     "make_sealing_key",
     "name_asked_for",
     "open_sealed",
+    "ordered",
     "pin_texts",
     "pins_in_use",
     "pins_of",

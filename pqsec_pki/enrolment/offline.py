@@ -6,7 +6,7 @@ request is authentic if the person who signs compares its SHA-256.
 """
 
 import hashlib
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -14,7 +14,8 @@ from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
-from pqsec_pki.algorithms import Profile
+from pqsec_pki.algorithms import PrivateKey, Profile
+from pqsec_pki.approvals import EnrolmentOrder, OrderedName, RegistrationGrant
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, only_certificate
 from pqsec_pki.enrolment.archive import Archive
@@ -36,6 +37,10 @@ from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
+ORDER = "order.json"
+ORDER_VALIDITY = timedelta(days=7)
+"""An order that is found later is performed no more."""
+_NO_RIGHTS: Mapping[str, object] = {"domains": "0", "publish": [], "subscribe": []}
 MAX_UNPACKED = 256 << 20
 """Bytes of all unpacked bundles in an answer: four times the limit of one archive."""
 
@@ -46,16 +51,21 @@ class SignRequest:
 
     requests: tuple[CertificateRequest, ...]
     specs: tuple[ParticipantSpec, ...]
-    """One for each request, in their order."""
+    """One for each request, in their order; without rights if there is an order."""
     sha256: str = ""
     """SHA-256 of the file it was read from, in hex."""
+    order: EnrolmentOrder | None = None
+    """By a registration authority: what its grant says decides."""
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """The sign request in `data`; MalformedError, or VerificationError if it is damaged."""
         archive = Archive.unpack(data, REQUEST_KIND)
+        order = None
+        if ORDER in archive.files:
+            order = EnrolmentOrder.from_file(archive.files[ORDER])
         try:
-            specs = tuple(read_spec(each, archive.files) for each in archive.about["wishes"])
+            specs = tuple(map(_ordered, order.items) if order else _wished(archive))
             pems = [archive.files[_request_file(spec.name)] for spec in specs]
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise MalformedError(f"the {REQUEST_KIND} cannot be read: {error}") from error
@@ -64,7 +74,7 @@ class SignRequest:
         if not specs:
             raise MalformedError(f"the {REQUEST_KIND} asks for nothing")
         requests = tuple(map(CertificateRequest.from_pem, pems))
-        return cls(requests, specs, hashlib.sha256(data).hexdigest())
+        return cls(requests, specs, hashlib.sha256(data).hexdigest(), order)
 
     def to_bytes(self, *, now: datetime) -> bytes:
         """The sign request as the bytes of a file."""
@@ -73,10 +83,11 @@ class SignRequest:
             files[_request_file(spec.name)] = request.pem
             if policy := spec.policy:
                 files[policy_file(spec.name)] = policy
-        about = {
-            "created": now.isoformat(timespec="seconds"),
-            "wishes": [spec_value(spec) for spec in self.specs],
-        }
+        about: dict[str, object] = {"created": now.isoformat(timespec="seconds")}
+        if self.order:
+            files[ORDER] = self.order.to_file()
+        else:
+            about["wishes"] = [spec_value(spec) for spec in self.specs]
         return Archive(REQUEST_KIND, about, files).pack()
 
     def to_json(self) -> dict[str, object]:
@@ -100,6 +111,17 @@ class SignRequest:
         )
 
 
+def _wished(archive: Archive) -> Iterator[ParticipantSpec]:
+    """What is asked for; errors as of `read_spec`, and KeyError."""
+    for each in archive.about["wishes"]:
+        yield read_spec(each, archive.files)
+
+
+def _ordered(item: OrderedName) -> ParticipantSpec:
+    """The participant without rights: its grant has them."""
+    return read_spec({**_NO_RIGHTS, "name": item.name, "validity_hours": item.hours}, {})
+
+
 def _spec_json(spec: ParticipantSpec) -> dict[str, object]:
     return {
         "name": spec.name,
@@ -110,6 +132,35 @@ def _spec_json(spec: ParticipantSpec) -> dict[str, object]:
         "permissions": spec.policy and spec.policy.decode().rstrip("\n"),
         "hours": spec.validity // timedelta(hours=1),
     }
+
+
+def ordered(  # noqa: PLR0913 -- the choices are the user's, and by name
+    requests: Sequence[CertificateRequest],
+    grant: RegistrationGrant,
+    key: PrivateKey,
+    role: str | None = None,
+    *,
+    validity: timedelta,
+    now: datetime,
+) -> SignRequest:
+    """These requests as an order of the registration authority with that grant and `key`.
+
+    `role` may be left out if there is one. UsageError for what the grant visibly does not have;
+    what it covers is decided where the order is performed. VerificationError for another key.
+    """
+    if key.public_key.spki != grant.key.spki:
+        raise VerificationError(f"this key is not that of {grant.authority} in the grant")
+    roles = [*grant.roles]
+    if role is None and len(roles) > 1:
+        raise UsageError("the grant has several roles", hint=f"--role: {', '.join(roles)}")
+    chosen = roles[0] if role is None else role
+    if chosen not in roles:
+        raise UsageError(f"the grant has no role {chosen}", hint=f"it has {', '.join(roles)}")
+    items = tuple(
+        OrderedName(each.common_name or "", chosen, validity, each.fingerprint) for each in requests
+    )
+    order = EnrolmentOrder.signed(grant.digest, items, key, now=now, validity=ORDER_VALIDITY)
+    return SignRequest(tuple(requests), tuple(map(_ordered, items)), order=order)
 
 
 def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
@@ -126,8 +177,11 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     """Issue everything in the sign request `asked`; returns the answer, a bundle per request.
 
     A certificate that was issued for the same request before, and is still the newest, is not
-    issued again. Errors as in `validate_csrs` and `issue`.
+    issued again. Errors as in `validate_csrs` and `issue`; VerificationError for an order, whose
+    rights only its grant says.
     """
+    if asked.order:
+        raise VerificationError("a registration authority's order is performed by its grant")
     specs = asked.admitted(keystore.profile, patterns)
     done = {
         entry.name: entry.details.get("request")
@@ -145,15 +199,18 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
             after_revocation=after_revocation,
             compromised_keys=compromised_keys,
         )
-    numbers = BundleNumbers.of(keystore)
-    bundles = (
-        Bundle.of(keystore, [spec.name], now=now, keys=False, numbers=numbers) for spec in specs
-    )
+    return answered(asked, keystore, now=now)
+
+
+def answered(asked: SignRequest, keystore: Keystore, *, now: datetime) -> bytes:
+    """The answer to a sign request whose participants are issued: a bundle for each."""
+    names, numbers = [spec.name for spec in asked.specs], BundleNumbers.of(keystore)
+    bundles = (Bundle.of(keystore, [name], now=now, keys=False, numbers=numbers) for name in names)
     files = {_bundle_file(each.names[0]): each.to_bytes() for each in bundles}
     about = {
         "created": now.isoformat(timespec="seconds"),
         "request_sha256": asked.sha256,
-        "names": [spec.name for spec in specs],
+        "names": names,
     }
     return Archive(ANSWER_KIND, about, files).pack()
 

@@ -12,6 +12,7 @@ Its content:
     patterns      participants given as patterns and groups
     groups        the groups that `apply` stored
     approving     whose approvals are demanded, and who approved: lines of the ledger
+    registering   what registration authorities may order, and ordered: lines of the ledger
 The ledger:
     _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
@@ -55,7 +56,13 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
-    from pqsec_pki.keystore.anchoring import Anchored, checked_head, read_anchors, write_anchor
+    from pqsec_pki.keystore.anchoring import (
+        Anchored,
+        anchored_head,
+        checked_head,
+        read_anchors,
+        write_anchor,
+    )
     from pqsec_pki.keystore.approving import PLAN, approval_entries, lines_since, policy_entry
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
@@ -90,6 +97,16 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching
     from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
+    from pqsec_pki.keystore.registering import (
+        Registration,
+        enrolled_by,
+        grant_end_entry,
+        grant_entry,
+        order_entry,
+        predates_approvals,
+        registration,
+        registrations,
+    )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.states import (
         PERMITTED,
@@ -134,6 +151,7 @@ __all__ = [
     "ParticipantState",
     "Phase",
     "Receipt",
+    "Registration",
     "RobotState",
     "SharedStatus",
     "SigningCa",
@@ -141,6 +159,7 @@ __all__ = [
     "State",
     "Status",
     "Transaction",
+    "anchored_head",
     "approval_entries",
     "audit",
     "bundle_number",
@@ -152,8 +171,11 @@ __all__ = [
     "compromised_keys_in",
     "document_entry",
     "enclave_files",
+    "enrolled_by",
     "expanded",
     "governance_digest",
+    "grant_end_entry",
+    "grant_entry",
     "groups_file",
     "is_several",
     "key_algorithms",
@@ -168,11 +190,15 @@ __all__ = [
     "load_participant",
     "load_revocation_list",
     "matching",
+    "order_entry",
     "overview_of",
     "participant_states",
     "policy_entry",
+    "predates_approvals",
     "read_anchors",
     "refuse_overlap",
+    "registration",
+    "registrations",
     "regular_name",
     "robot_states",
     "settings_file",

@@ -84,6 +84,19 @@ def checked_head(
     return newest
 
 
+def anchored_head(keystore: Keystore, folder: Path | None) -> Checkpoint:
+    """The newest signed head, as `checked_head`, compared with the anchors in the folder, if any.
+
+    VerificationError also if a folder is named, and has none.
+    """
+    found = read_anchors(folder) if folder else _NONE
+    if folder and not found:
+        raise VerificationError(
+            f"{folder} has no anchors", hint="`pqsec log --anchor DIR` writes them"
+        )
+    return checked_head(keystore, anchors=found)
+
+
 def read_anchors(folder: Path) -> dict[Path, HeadExtension]:
     """The anchors in the folder by their files, the smallest tree first; none without folder.
 

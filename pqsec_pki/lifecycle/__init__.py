@@ -15,6 +15,7 @@ CAs:
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
     grouping      stores the groups of a domain file, and whose approvals are needed
+    registering   grants for registration authorities, and their end
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 """
 
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
         changed_permissions,
         sign_changed,
     )
+    from pqsec_pki.lifecycle.registering import add_registration, end_registrations
     from pqsec_pki.lifecycle.renewing import Renewal, lasts_longer, renew
     from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revocable, revoke
     from pqsec_pki.lifecycle.rollover import (
@@ -71,6 +73,7 @@ __all__ = [
     "RolloverPlan",
     "RolloverResult",
     "Scope",
+    "add_registration",
     "adopt",
     "adoptable",
     "apply_rollover",
@@ -78,6 +81,7 @@ __all__ = [
     "changed_permissions",
     "changed_protection",
     "changed_rights",
+    "end_registrations",
     "grows",
     "issue",
     "lasts_longer",

@@ -14,6 +14,7 @@ from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import (
     Authorities,
+    Entry,
     Keystore,
     StagedFolder,
     Transaction,
@@ -71,11 +72,13 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     after_revocation: bool = False,
     compromised_keys: bool = False,
     sign_permissions: bool = True,
+    records: Sequence[Entry] = (),
 ) -> list[Issued]:
     """Issue all participants in `specs`, or none if one fails.
 
     Without `sign_permissions` they get certificates only, which needs no key of the permissions
-    CA; `changed_permissions` and `sign_changed` give them rights.
+    CA; `changed_permissions` and `sign_changed` give them rights. `records` are lines for the
+    ledger, written with theirs.
     Names must differ. ExistsError for participants that exist already, unless `force`;
     KeystoreError for revoked participants, unless `after_revocation`; VerificationError for
     keys that were revoked as compromised, unless `compromised_keys`, and for keys of another
@@ -100,6 +103,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
             _clear(transaction, spec)
         make = partial(_make, issuer, shared, sign_permissions=sign_permissions)
         issued = shared_out(make, specs, folders)
+        transaction.record(*records)
         for each in issued:
             transaction.record(*each.entries)
     return issued

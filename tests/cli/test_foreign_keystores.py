@@ -28,6 +28,7 @@ READING = {
     "needs-renewal": [""],
     "status": [""],
     "log": ["", "--verify"],
+    "ra list": [""],
     "check": ["k"],
     "report": ["", "--format csv"],
     "cbom": ["", "k"],
@@ -48,6 +49,7 @@ READING = {
 CHANGING = {
     *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit", "adopt"),
     *("sign-governance", "sign-permissions", "sign-request sign", "receipt import"),
+    *("ra add", "ra revoke"),
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "explain-error", "profiles"),

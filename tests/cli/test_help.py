@@ -76,7 +76,7 @@ def made(run_in, tmp_path_factory) -> Path:
     (folder / "robot").mkdir()
     for name, text in FILES.items():
         (folder / name).write_text(text)
-    for name in ("alice", "bob", "carol"):
+    for name in ("alice", "bob", "carol", "line1"):
         make_key(folder, name)
     for name in ("passphrase", "new-passphrase"):
         secret(folder / name, f"the {name} of the robots\n")
@@ -201,6 +201,9 @@ ELSEWHERE = {
 """Commands whose examples do not run here, and why."""
 INSTALL = "install robot1.bundle --trust-first"
 EXPORT = "sign-request export robot2.csr -o fleet.request --subscribe x"
+ADD = "ra add line1 --key line1.pub.pem --allow-name '/fleet/*' --role robot --max-count 9"
+RA = (f"{ADD} --validity 30d --force",)
+ORDER = "pqsec sign-request export robot2.csr --grant line1.grant --key line1.pem -o order"
 DECIDED = ("apply decided.yaml --yes",)
 FIRST = {
     "rollback": (
@@ -212,6 +215,10 @@ FIRST = {
     "verify": ("report --sign -o june.html",),
     "sign-request import": (EXPORT, "sign-request sign fleet.request -o fleet.answer"),
     "sign-request sign": (EXPORT,),
+    ORDER: RA,
+    "pqsec sign-request sign order -o answer --ra-only": (*RA, ORDER.removeprefix("pqsec ")),
+    "ra list": RA,
+    "ra revoke": RA,
     "ca crl": ("ca crl",),
     "log": ("log --anchor anchors",),
     "pqsec plan domain.yaml -o plan.json --key alice.pem": DECIDED,
@@ -287,6 +294,7 @@ NO = {
     "permissions render": "bad.yaml",
     "plan": "domain.yaml",
     "plugin status": "--dir nowhere",
+    "ra add": f"{ADD.removeprefix('ra add ')} --validity 1d --file bad.yaml",
     "receipt import": "credentials/installed.receipt",
     "renew": "/fleet/robot1 --keep-key",
     "report": "-o signed.html --signer robots/enclaves/talker/cert.pem"
