@@ -11,7 +11,12 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
     from pqsec_pki.enrolment.bundle_file import BundleFile, write_bundles
-    from pqsec_pki.enrolment.credential_store import InstalledSet
+    from pqsec_pki.enrolment.credential_store import (
+        CredentialStore,
+        InstalledSet,
+        changing,
+        one_command,
+    )
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
     from pqsec_pki.enrolment.installing import Installed, install, removed_alone
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
@@ -20,6 +25,7 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
     from pqsec_pki.enrolment.receipt_import import ImportedReceipt, import_receipts
     from pqsec_pki.enrolment.requesting import (
+        REQUEST,
         Requested,
         key_places,
         make_sealing_key,
@@ -37,9 +43,11 @@ else:
 __all__ = [
     "MAX_ARCHIVE",
     "NAMELESS",
+    "REQUEST",
     "Accepted",
     "Bundle",
     "BundleFile",
+    "CredentialStore",
     "ImportedReceipt",
     "Installed",
     "InstalledSet",
@@ -53,6 +61,7 @@ __all__ = [
     "answered",
     "bundle_path",
     "bundle_paths",
+    "changing",
     "fingerprint",
     "flat_name",
     "import_receipts",
@@ -62,6 +71,7 @@ __all__ = [
     "key_places",
     "make_sealing_key",
     "name_asked_for",
+    "one_command",
     "open_sealed",
     "ordered",
     "pin_texts",

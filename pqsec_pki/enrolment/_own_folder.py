@@ -13,7 +13,7 @@ from pqsec_pki.errors import KeystoreError
 
 DRAFT = ".draft-"
 _PRIVATE_FOLDER = 0o700
-_DRAFTED = re.compile(r"(\.draft-|\.bundle\.(key|pub)\.pem\.)[0-9a-f]{16}")
+_DRAFTED = re.compile(r"(\.draft-|\.bundle\.(key|pub)\.pem\.|\.server\.json\.)[0-9a-f]{16}")
 """Names of files that a killed process leaves; the folder may contain files of others."""
 
 

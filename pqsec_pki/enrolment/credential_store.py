@@ -265,6 +265,18 @@ def changing(root: Path) -> Iterator[CredentialStore]:
             raise
 
 
+@contextmanager
+def one_command(root: Path) -> Iterator[None]:
+    """One command at a time, for one that changes the store at `root` several times.
+
+    KeystoreError if another is at work; other errors as of `changing`.
+    """
+    with changing(root):
+        make_private(root / REQUESTS)
+    with disk_errors(root), locked(root / REQUESTS):
+        yield
+
+
 def _set_name(text: str | None) -> str | None:
     """The name of the previous set in a record; ValueError if it is not a name of a set."""
     if text is not None and not _NUMBER.fullmatch(text):

@@ -66,7 +66,7 @@ class Installed:
 
 
 def install(  # noqa: PLR0913 -- the choices are the user's, and by name
-    path: Path,
+    source: Path | bytes,
     root: Path,
     pins: Pins | None = None,
     *,
@@ -78,7 +78,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     agreed: Collection[str] | None = None,
     pin: Pin = stored_pin,
 ) -> Installed:
-    """Install the bundle in file `path` into the robot's folder `root`.
+    """Install a bundle, from a file or as its content, into the robot's folder `root`.
 
     Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here.
     On a first installation `trust_first` trusts the CAs in the bundle. `older` accepts
@@ -91,8 +91,9 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     everything that is wrong with the bundle; KeystoreError if `alone` would remove more than was
     `agreed`. After an error nothing has changed.
     """
-    data = read(path, limit=MAX_FILE)
-    with changing(root) as store, located(path):
+    data = read(source, limit=MAX_FILE) if isinstance(source, Path) else source
+    where = source if isinstance(source, Path) else "the bundle"
+    with changing(root) as store, located(where):
         bundle = Bundle.from_bytes(_opened(data, root))
         before = store.current
         if alone and agreed is not None:

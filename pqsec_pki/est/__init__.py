@@ -10,7 +10,11 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.est.client import EstClient, ServerAnswer
     from pqsec_pki.est.extra import needs_extra
+    from pqsec_pki.est.known_server import KnownServer
+    from pqsec_pki.est.obtaining import KeyTerms, WaitingError
+    from pqsec_pki.est.robot import Obtained, deliver_receipt, enrol, renew
     from pqsec_pki.est.tls import (
         GROUP,
         ServerTrust,
@@ -28,14 +32,23 @@ else:
 __all__ = [
     "GROUP",
     "EnrolmentToken",
+    "EstClient",
+    "KeyTerms",
+    "KnownServer",
+    "Obtained",
+    "ServerAnswer",
     "ServerTrust",
     "TlsIdentity",
+    "WaitingError",
     "checked_url",
     "client_context",
+    "deliver_receipt",
+    "enrol",
     "is_secret",
     "needs_extra",
     "peer_certificate",
     "refuse_classical",
+    "renew",
     "server_context",
     "spki_pin",
 ]

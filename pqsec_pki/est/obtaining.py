@@ -1,0 +1,152 @@
+"""The steps of a robot that gets its credentials from a server. Each can be repeated."""
+
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from datetime import datetime, timedelta
+from http import HTTPStatus
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import is_there, read
+from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import CERTIFICATE, KEY, KEYS, PROOF
+from pqsec_pki.enrolment import REQUEST, Bundle, Pins, changing, install, requests
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError
+from pqsec_pki.est.client import EstClient, ServerAnswer
+from pqsec_pki.est.known_server import KnownServer
+from pqsec_pki.est.paths import PEM_FILE, REQUESTS
+from pqsec_pki.est.tls import TlsIdentity
+from pqsec_pki.tokens import Pin, stored_pin
+
+CLOCKS_DIFFER = timedelta(minutes=5)
+"""A smaller difference is not told."""
+
+Enclave = Mapping[str, bytes]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class KeyTerms:
+    """How the keys of a participant are made, and whom it trusts."""
+
+    profile: Profile | None = None
+    """None for keys of the kinds that it has."""
+    pins: Pins | None = None
+    """The CAs; None for those that are trusted here."""
+    trust_first: bool = False
+    uris: Mapping[str, str] | None = None
+    pin: Pin = stored_pin
+    force: bool = False
+    """Whether there shall be a new request, whatever is installed or waits."""
+
+
+class WaitingError(PqsecError):
+    """Somebody must approve the request first."""
+
+
+def installed(root: Path) -> Mapping[str, Enclave]:
+    """The files of each installed participant."""
+    if not is_there(root):
+        return {}
+    with changing(root) as store:
+        current = store.current
+        return current.enclaves if current else {}
+
+
+def is_requested(root: Path, name: str) -> bool:
+    """Whether a request for the participant waits for its answer."""
+    with changing(root) as store:
+        return is_there(store.request_folder(name) / REQUEST)
+
+
+def ask_for(root: Path, name: str, terms: KeyTerms, held: Certificate | None) -> bytes:
+    """The request of the participant, in PEM: the one that waits, or a new one."""
+    if terms.force or not is_requested(root, name):
+        profile = terms.profile or _kinds(held)
+        requests([name], profile, root, uris=terms.uris, pin=terms.pin, force=terms.force)
+    with changing(root) as store:
+        return read(store.request_folder(name) / REQUEST)
+
+
+def answer_to(client: EstClient, request: bytes, patience: timedelta = timedelta()) -> ServerAnswer:
+    """The bundle with which the server answers, now or after an approval.
+
+    WaitingError if there is none within `patience`; other errors as of `EstClient.post`.
+    """
+    until = time.monotonic() + patience.total_seconds()
+    while True:
+        answer = client.post(REQUESTS, request, PEM_FILE)
+        if answer.status != HTTPStatus.ACCEPTED:
+            return answer
+        wait = answer.retry_after.total_seconds()
+        if time.monotonic() + wait > until:
+            raise WaitingError(
+                f"{client.server} has the request, which waits for an approval",
+                hint="run the command again later: it sends the same request",
+            )
+        time.sleep(wait)
+
+
+def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: datetime) -> None:
+    """Install the bundle in an answer, if it is one for the participant alone, without keys.
+
+    Errors as of `install`.
+    """
+    bundle = Bundle.from_bytes(answer.body)
+    if bundle.names != (name,):
+        raise VerificationError(f"the server's bundle is for {', '.join(bundle.names)}")
+    if bundle.has_keys:
+        raise VerificationError("the server's bundle has private keys, which are made here alone")
+    try:
+        install(
+            answer.body,
+            root,
+            terms.pins,
+            now=now,
+            trust_first=terms.trust_first,
+            pin=terms.pin,
+        )
+    except VerificationError as error:
+        if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
+            error.hint = (
+                f"here it is {now:%Y-%m-%d %H:%M} UTC, at the server {answer.date:%Y-%m-%d %H:%M}:"
+                " set the clock, and run the command again"
+            )
+        raise
+
+
+def etag(name: str, files: Enclave, *, now: datetime) -> str:
+    """The entity tag of a bundle with these files, as servers make it."""
+    public = {file: data for file, data in files.items() if file not in {*KEYS, PROOF}}
+    return f'"{Bundle(now, {name: public}).sha256}"'
+
+
+def held_by(files: Enclave) -> Certificate:
+    """The participant's certificate."""
+    return Certificate.from_pem(files[CERTIFICATE])
+
+
+def client_with(known: KnownServer, files: Enclave) -> EstClient:
+    """A client that shows the participant's certificate; errors as of `TlsIdentity.of`."""
+    identity = TlsIdentity.of(files[CERTIFICATE], files[KEY])
+    return EstClient(
+        server=known.server, trust=known.trust, classical=known.classical, identity=identity
+    )
+
+
+def _kinds(held: Certificate | None) -> Profile:
+    """A profile whose participants have keys of the kinds that the certificate has."""
+    if held is None:
+        return DEFAULT_PROFILE
+    second = held.alternative_key.algorithm if held.alternative_key else None
+    choices = {
+        "participant_key": held.public_key.algorithm.name,
+        "alternative_key": second.name if second else None,
+    }
+    for profile in PROFILES:
+        with suppress(UsageError):
+            changed = profile.changed(choices)
+            if changed.alternative_key is second:
+                return changed
+    raise UsageError("no profile has keys such as the installed ones", hint="name one: --profile")

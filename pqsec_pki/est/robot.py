@@ -1,0 +1,188 @@
+"""On the robot: enrol at a server, and renew from it, by the same checks as `install`.
+
+A request stays until its answer is installed, and the server answers the same request with the
+same bundle; so a command that was killed is only run again.
+"""
+
+import hashlib
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from datetime import datetime, timedelta
+from http import HTTPStatus
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import is_there, read
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.credentials import CERTIFICATE
+from pqsec_pki.enrolment import changing, one_command
+from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.est.client import EstClient
+from pqsec_pki.est.known_server import KnownServer
+from pqsec_pki.est.obtaining import (
+    Enclave,
+    KeyTerms,
+    answer_to,
+    ask_for,
+    client_with,
+    etag,
+    held_by,
+    installed,
+    is_requested,
+    take,
+)
+from pqsec_pki.est.paths import BUNDLE, RECEIPT_TYPE, RECEIPTS
+from pqsec_pki.keystore import State, expanded
+
+Clock = Callable[[], datetime]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Obtained:
+    """What one participant has now."""
+
+    name: str
+    certificate: Certificate
+    renewed: bool
+    """Whether it has another certificate than before."""
+    changed: bool
+    """Whether it has anything else than before."""
+
+    def to_json(self) -> dict[str, object]:
+        """The participant, for JSON."""
+        return {
+            "name": self.name,
+            "renewed": self.renewed,
+            "changed": self.changed,
+            "not_after": self.certificate.not_after,
+        }
+
+
+def enrol(  # noqa: PLR0913 -- by name
+    client: EstClient,
+    name: str,
+    root: Path,
+    terms: KeyTerms,
+    *,
+    clock: Clock,
+    patience: timedelta = timedelta(),
+) -> Obtained:
+    """Get the participant `name` of this robot its certificate and documents from a server.
+
+    A valid certificate that is installed under the same CAs stays, unless `terms.force`.
+    KeystoreError if it is under others. Errors as of `requests`, `answer_to` and `take`; what is
+    installed stays as it was.
+    """
+    with one_command(root):
+        before = installed(root).get(name, {})
+        if terms.force or is_requested(root, name) or not _is_enrolled(before, root, terms, clock):
+            request = ask_for(root, name, terms, held_by(before) if before else None)
+            answer = answer_to(client, request, patience)
+            take(answer, name, root, terms, now=clock())
+        KnownServer.of(client).save(root)
+        return _outcome(root, name, before)
+
+
+def renew(  # noqa: PLR0913 -- by name
+    known: KnownServer,
+    names: Iterable[str],
+    root: Path,
+    terms: KeyTerms,
+    *,
+    clock: Clock,
+    due: timedelta | None = None,
+) -> Iterator[Obtained | PqsecError]:
+    """Bring each installed participant, or each of `names`, up to date with the server.
+
+    One whose certificate is due gets a new one for new keys, the others what the server has for
+    their certificates. One that fails stays as it was, and does not hold up the others. `due` is
+    that of `State.at`. KeystoreError for a participant that is not installed.
+    """
+    with one_command(root):
+        for name in _chosen(installed(root), names, root):
+            try:
+                done = _renewed(known, name, root, terms, clock=clock, due=due)
+                if KnownServer.at(root) != known:
+                    known.save(root)
+                yield done
+            except PqsecError as error:
+                error.where = error.where or name
+                yield error
+
+
+def deliver_receipt(root: Path) -> None:
+    """Send the receipt of what is installed to the server, unless it has it.
+
+    PqsecError as of `EstClient.post`.
+    """
+    known = KnownServer.at(root)
+    with changing(root) as store:
+        data = read(store.receipt) if is_there(store.receipt) else b""
+    sha256 = hashlib.sha256(data).hexdigest()
+    if known and data and known.receipt != sha256:
+        files = next(iter(installed(root).values()))
+        client_with(known, files).post(RECEIPTS, data, RECEIPT_TYPE)
+        known.with_receipt(sha256).save(root)
+
+
+def _is_enrolled(before: Enclave, root: Path, terms: KeyTerms, clock: Clock) -> bool:
+    if CERTIFICATE not in before or clock() > held_by(before).not_after:
+        return False
+    with changing(root) as store:
+        state = store.trust_state
+    if terms.pins and state and state.pins != terms.pins:
+        raise KeystoreError(
+            f"{root} has a valid certificate under other CAs",
+            hint="enrol into another --dir, or use --force",
+        )
+    return True
+
+
+def _chosen(there: Iterable[str], names: Iterable[str], root: Path) -> list[str]:
+    known = sorted(there)
+    chosen = expanded(names, known, {}) or known
+    if missing := [each for each in chosen if each not in known] or ([] if known else [str(root)]):
+        raise KeystoreError(
+            f"nothing is installed in {root} for {', '.join(missing)}",
+            hint="`pqsec enrol` gets the first certificate",
+        )
+    return chosen
+
+
+def _renewed(  # noqa: PLR0913 -- by name
+    known: KnownServer,
+    name: str,
+    root: Path,
+    terms: KeyTerms,
+    *,
+    clock: Clock,
+    due: timedelta | None,
+) -> Obtained:
+    before, now = installed(root)[name], clock()
+    held, client = held_by(before), client_with(known, before)
+    failed: PqsecError | None = None
+    state = State.at(now, held.not_before, held.not_after, due)
+    if terms.force or state.calls_for_renewal or is_requested(root, name):
+        try:
+            answer = answer_to(client, ask_for(root, name, terms, held))
+            take(answer, name, root, terms, now=now)
+            return _outcome(root, name, before)
+        except PqsecError as error:
+            failed = error  # the newest list and documents are for the old certificate too
+    with suppress(*([PqsecError] if failed else [])):
+        answer = client.get(BUNDLE, etag(name, before, now=now))
+        if answer.status == HTTPStatus.OK:
+            take(answer, name, root, terms, now=now)
+    if failed:
+        raise failed
+    return _outcome(root, name, before)
+
+
+def _outcome(root: Path, name: str, before: Enclave) -> Obtained:
+    after = installed(root)[name]
+    return Obtained(
+        name=name,
+        certificate=held_by(after),
+        renewed=before.get(CERTIFICATE) != after[CERTIFICATE],
+        changed=dict(before) != dict(after),
+    )
