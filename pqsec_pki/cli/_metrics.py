@@ -20,17 +20,27 @@ Sample = tuple[dict[str, str], int]
 
 
 def write_metrics(
-    path: Path, keystore: Keystore, standing: Status, robots: Mapping[str, RobotState]
+    path: Path,
+    keystore: Keystore,
+    standing: Status,
+    robots: Mapping[str, RobotState],
+    *,
+    is_whole: bool,
 ) -> None:
     """Write the metrics to `path`, atomically. ExistsError if it is another kind of file."""
     if is_there(path) and not read(path).startswith(_FIRST_LINE.encode()):
         raise ExistsError(
             f"{path} exists and is not a metrics file of pqsec", hint="choose another file"
         )
-    write(path, "".join(_lines(keystore, standing, robots)).encode(), force=True)
+    write(path, "".join(_lines(keystore, standing, robots, is_whole)).encode(), force=True)
 
 
-def _lines(keystore: Keystore, standing: Status, robots: Mapping[str, RobotState]) -> Iterator[str]:
+def _lines(
+    keystore: Keystore,
+    standing: Status,
+    robots: Mapping[str, RobotState],
+    is_whole: bool,  # noqa: FBT001 -- used here only
+) -> Iterator[str]:
     root = str(keystore.root.resolve())
     yield from _metric("not_after_seconds", "When it ends, as Unix time.", _ends(root, standing))
     yield from _metric(
@@ -42,6 +52,11 @@ def _lines(keystore: Keystore, standing: Status, robots: Mapping[str, RobotState
         "participants",
         "How many participants have this state, profile and domains.",
         _counts(root, keystore, standing),
+    )
+    yield from _metric(
+        "ledger_whole",
+        "Whether the ledger has all lines of which the CAs signed a head.",
+        [({"keystore": root}, int(is_whole))],
     )
     now = int(standing.at.timestamp())
     yield from _metric(

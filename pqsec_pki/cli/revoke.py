@@ -6,11 +6,13 @@ from typing import Any
 
 import click
 
+from pqsec_pki._files import read
 from pqsec_pki.approvals import Covered
-from pqsec_pki.certificates import Reason, RevocationList
+from pqsec_pki.certificates import Certificate, Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import named
+from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Entry, Keystore, SigningCa
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
 from pqsec_pki.lifecycle import revoke as revoke_subjects
@@ -37,6 +39,9 @@ list_validity_option = click.option(
     examples={
         "Revoke a stolen robot": ("pqsec revoke /fleet/robot1 --reason keyCompromise --yes"),
         "Revoke all nodes of a robot": "pqsec revoke '/fleet/*' --yes",
+        "Revoke a certificate that the ledger does not have": (
+            "pqsec revoke --certificate cert.pem --yes"
+        ),
         "Issue a list that is valid for 90 days": "pqsec revoke /talker --validity 90d --yes",
     },
     exit_codes={
@@ -47,9 +52,16 @@ list_validity_option = click.option(
 @click.argument(
     "subjects",
     nargs=-1,
-    required=True,
-    metavar="NAME|SERIAL...",
+    metavar="[NAME|SERIAL]...",
     shell_complete=_completion.participants,
+)
+@click.option(
+    "--certificate",
+    "files",
+    multiple=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="Revoke this certificate of the identity CA, which the ledger need not have; repeatable.",
 )
 @click.option(
     "--reason",
@@ -62,8 +74,9 @@ list_validity_option = click.option(
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @_passphrases.option
 @_settings.command_options
-def revoke(
+def revoke(  # noqa: PLR0913 -- one for each option, by name
     subjects: tuple[str, ...],
+    files: tuple[Path, ...],
     reason: str,
     validity: timedelta,
     passphrase_file: Path | None,
@@ -79,13 +92,22 @@ def revoke(
     """
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     keystore.refuse_unapproved(Covered.REVOKE)
+    if not subjects and not files:
+        raise UsageError("nothing to revoke", hint="give names, serial numbers, or --certificate")
     first = not keystore.has_revocation_list
     chosen = named(keystore, subjects)
+    certificates = [*map(_certificate, files)]
     if not yes:
-        _ask(revocable(keystore, chosen, now=now))
+        _ask(revocable(keystore, chosen, certificates, now=now))
     authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.IDENTITY)
     revoked, made = revoke_subjects(
-        keystore, authorities, chosen, reason=Reason(reason), now=now, validity=validity
+        keystore,
+        authorities,
+        chosen,
+        certificates=certificates,
+        reason=Reason(reason),
+        now=now,
+        validity=validity,
     )
     if first:
         _printing.note(
@@ -98,6 +120,11 @@ def revoke(
         )
     value = {"revoked": revoked, "list": keystore.revocation_list_path, **made.to_json()}
     _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
+
+
+def _certificate(path: Path) -> Certificate:
+    with located(path):
+        return Certificate.from_pem(read(path))
 
 
 def _ask(certificates: list[Entry]) -> None:

@@ -1,6 +1,6 @@
 """pqsec status: show participants, their state and expiry."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
 from pathlib import Path
 
@@ -11,7 +11,14 @@ from pqsec_pki.cli._metrics import write_metrics
 from pqsec_pki.cli._names import named
 from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import Keystore, RobotState, State, Status, robot_states
+from pqsec_pki.keystore import (
+    Keystore,
+    RobotState,
+    State,
+    Status,
+    faults_of_ledger,
+    robot_states,
+)
 from pqsec_pki.keystore import status as status_of
 
 _HEADERS = ("participant", "state", "until", "profile", "domains", "serial")
@@ -87,6 +94,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 
     NAME may be a pattern ('/robot1/*') or a group (@hall1); without a NAME, all are
     shown. The data comes from the ledger, not from the files: check those with `pqsec check`.
+    A ledger without the lines of which the CAs signed a head, or with others, is reported.
 
     After `pqsec receipt import`, it also compares the files with those that each robot has
     installed: `robot` is current, outdated, or unknown without a receipt; then follow the numbers
@@ -107,19 +115,35 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _printing.note(
             f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
         )
+    faults = faults_of_ledger(keystore)
     if prometheus:
-        write_metrics(prometheus, keystore, standing, robots)
+        write_metrics(prometheus, keystore, standing, robots, is_whole=not faults)
     _formats.emit(
         form,
-        {"keystore": keystore.root, **standing.to_json(), "participants": rows},
-        _lines(keystore, standing, robots, "none" if is_filtered else "none yet: pqsec issue NAME"),
+        {
+            "keystore": keystore.root,
+            **standing.to_json(),
+            "participants": rows,
+            "ledger": {"head": standing.head, "faults": faults},
+        },
+        _lines(
+            keystore,
+            standing,
+            robots,
+            "none" if is_filtered else "none yet: pqsec issue NAME",
+            faults,
+        ),
         columns=(*_COLUMNS, *_ROBOT_COLUMNS),
         items=rows,
     )
 
 
 def _lines(
-    keystore: Keystore, standing: Status, robots: Mapping[str, RobotState], nobody: str
+    keystore: Keystore,
+    standing: Status,
+    robots: Mapping[str, RobotState],
+    nobody: str,
+    faults: Sequence[str],
 ) -> Iterator[str]:
     yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
     for term in standing.shared:
@@ -127,6 +151,8 @@ def _lines(
         yield f"{_ROLES[term.kind]:<15}  until {term.not_after:%Y-%m-%d}{state}"
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
     yield f"participants     {', '.join(counts) or nobody}"
+    for fault in faults:
+        yield f"ledger           NOT AS SIGNED: {fault}"
     if standing.participants:
         has_receipts = any(each.receipt for each in robots.values())
         yield ""

@@ -60,6 +60,7 @@ if TYPE_CHECKING:
         Anchored,
         anchored_head,
         checked_head,
+        faults_of_ledger,
         read_anchors,
         write_anchor,
     )
@@ -173,6 +174,7 @@ __all__ = [
     "enclave_files",
     "enrolled_by",
     "expanded",
+    "faults_of_ledger",
     "governance_digest",
     "grant_end_entry",
     "grant_entry",

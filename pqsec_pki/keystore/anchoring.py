@@ -117,6 +117,11 @@ def ledger_tree(keystore: Keystore) -> MerkleTree:
         return MerkleTree(leaf_of(*row) for row in ledger.rows())
 
 
+def faults_of_ledger(keystore: Keystore) -> list[str]:
+    """Where the ledger differs from the newest head in the keystore; empty if nowhere."""
+    return [*head_problems(keystore, ledger_tree(keystore), _NONE)]
+
+
 def head_problems(
     keystore: Keystore, tree: MerkleTree, anchors: Mapping[Path, HeadExtension]
 ) -> Iterator[str]:
@@ -132,7 +137,7 @@ def head_problems(
         yield str(error)
     with keystore.open_ledger() as ledger:
         origin = ledger.origin
-    signers = list(_signers(keystore.root))
+    signers = list(_signers(keystore.root)) if anchors else []
     for path, anchor in anchors.items():
         if any(_signed_by(anchor.checkpoint, each) for each in signers):
             heads[path] = anchor.head

@@ -12,6 +12,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import (
     Authority,
+    Certificate,
     Reason,
     RevocationList,
     RevokedCertificate,
@@ -24,6 +25,7 @@ from pqsec_pki.keystore import (
     Keystore,
     Ledger,
     Transaction,
+    certificate_entry,
     change,
     layout,
     list_entry,
@@ -33,6 +35,7 @@ from pqsec_pki.keystore import (
 COMPROMISE = "compromise"
 """The kind of ledger lines that change the reason of an earlier revocation to keyCompromise."""
 
+_ISSUED = "participant"
 LIST_VALIDITY = timedelta(days=365)
 """As long as participants by default: once a list has expired, stacks with it refuse every
 peer."""
@@ -69,6 +72,7 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     authorities: Authorities,
     subjects: Sequence[str],
     *,
+    certificates: Sequence[Certificate] = (),
     reason: Reason = Reason.UNSPECIFIED,
     now: datetime,
     validity: timedelta = LIST_VALIDITY,
@@ -76,13 +80,14 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     """Revoke the certificates of all `subjects` and issue a new list, or do nothing.
 
     A subject is a participant's name, for all its certificates that have not expired, or a
-    certificate's serial number in hex. A certificate that was revoked before keeps its time and
-    reason; only the reason keyCompromise may be added later. KeystoreError for a subject that
-    is not in the ledger or has expired.
+    certificate's serial number in hex. `certificates` are others of this identity CA, which the
+    ledger need not have: it may have lost their lines. A certificate that was revoked before keeps
+    its time and reason; only the reason keyCompromise may be added later. KeystoreError for a
+    subject that is not in the ledger or has expired, and for a certificate of another CA.
     """
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.REVOKE)
-        chosen = _chosen(ledger, subjects, now)
+        chosen = _chosen(ledger, subjects, now) | _given(keystore, ledger, certificates, now)
         before = _revoked_since(ledger)
         new = [
             _revocation(each, reason, now, again=each.sha256 in before)
@@ -97,10 +102,17 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     return [_result(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
 
 
-def revocable(keystore: Keystore, subjects: Iterable[str], *, now: datetime) -> list[Entry]:
+def revocable(
+    keystore: Keystore,
+    subjects: Iterable[str],
+    certificates: Iterable[Certificate] = (),
+    *,
+    now: datetime,
+) -> list[Entry]:
     """The ledger lines of the certificates that `revoke` would revoke; KeystoreError as there."""
     with keystore.open_ledger() as ledger:
-        return list(_chosen(ledger, subjects, now).values())
+        chosen = _chosen(ledger, subjects, now) | _given(keystore, ledger, certificates, now)
+    return list(chosen.values())
 
 
 def renew_list(
@@ -196,6 +208,31 @@ def _chosen(ledger: Ledger, subjects: Iterable[str], now: datetime) -> dict[str,
     return {each.sha256: each for each in found}
 
 
+def _given(
+    keystore: Keystore, ledger: Ledger, certificates: Iterable[Certificate], now: datetime
+) -> dict[str, Entry]:
+    """The entries of these certificates, by their hashes; made for those without a line."""
+    issuer, known = keystore.identity_ca, {each.sha256: each for each in ledger.of_kind(_ISSUED)}
+    found = {}
+    for each in certificates:
+        if each.is_self_issued or not issuer.signed(each):
+            raise KeystoreError(
+                f"{each.subject_name}, serial number {each.serial_number:x}, is not a certificate"
+                f" of {issuer.subject_name}",
+                hint="only the CA that issued a certificate can revoke it",
+            )
+        if now > each.not_after:
+            raise _expired(each.subject_name, each.not_after)
+        made = certificate_entry(_ISSUED, _subject(each), each, now, issuer=issuer)
+        found[each.fingerprint] = known.get(each.fingerprint, made)
+    return found
+
+
+def _subject(certificate: Certificate) -> str:
+    """The participant's name, or the whole subject if it has another form."""
+    return certificate.subject_name.removeprefix("CN=")
+
+
 def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
     """The entries of the certificates that `subject` names."""
     named = ledger.of_name("participant", _name(subject))
@@ -210,11 +247,15 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
         )
     good = [each for each in named if now <= each.ends]
     if not good:
-        raise KeystoreError(
-            f"{subject} expired on {named[-1].ends:%Y-%m-%d}: no participant accepts it",
-            hint="there is nothing to revoke",
-        )
+        raise _expired(subject, named[-1].ends)
     return good
+
+
+def _expired(subject: str, end: datetime) -> KeystoreError:
+    return KeystoreError(
+        f"{subject} expired on {end:%Y-%m-%d}: no participant accepts it",
+        hint="there is nothing to revoke",
+    )
 
 
 def _name(subject: str) -> str:

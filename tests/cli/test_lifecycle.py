@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
@@ -123,13 +124,14 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     samples = [METRIC.fullmatch(line) for line in lines if not line.startswith("#")]
     assert all(samples)
     assert {sample[1] for sample in samples} == {
+        "pqsec_ledger_whole",
         "pqsec_not_after_seconds",
         "pqsec_participant_info",
         "pqsec_participants",
         "pqsec_status_seconds",
     }
     typed = [line.split()[2] for line in lines if line.startswith("# TYPE")]
-    assert len(typed) == len(set(typed)) == 4
+    assert len(typed) == len(set(typed)) == 5
     place = f'keystore="{tmp_path}/k"'
     kind = 'profile="classical",domains="0"'
 
@@ -145,7 +147,35 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     pqsec("-k k status --prometheus pqsec.prom").done()
     lines = (tmp_path / "pqsec.prom").read_text().splitlines()
     assert {counted("revoked", 1), info("revoked", "none")} <= set(lines)
+    assert f"pqsec_ledger_whole{{{place}}} 1" in lines
     assert [path.name for path in tmp_path.iterdir() if "prom" in path.name] == ["pqsec.prom"]
+
+
+def test_a_ledger_that_was_replaced_by_a_copy_is_told(pqsec, k, tmp_path):
+    ledger = tmp_path / "k/private/ledger.sqlite3"
+    older = ledger.read_bytes()
+    pqsec("-k k issue /lost --publish x").done()
+    shutil.copy(tmp_path / "k/enclaves/lost/cert.pem", tmp_path)
+    shutil.rmtree(tmp_path / "k/enclaves/lost")
+    assert pqsec("-k k status --json").done().json["ledger"]["faults"] == []
+    pqsec("-k k check").done()
+    ledger.write_bytes(older)
+    told = pqsec("-k k status --prometheus pqsec.prom").done().out
+    assert "ledger           NOT AS SIGNED: k/public/ledger.checkpoint: the end was cut off" in told
+    assert "pqsec_ledger_whole{" in (text := (tmp_path / "pqsec.prom").read_text())
+    assert re.search(r"pqsec_ledger_whole\{.*\} 0\n", text)
+    found = pqsec("-k k check --json")
+    assert found.code == 1
+    assert [each["rule"] for each in found.json["findings"] if each["severity"] == "error"] == [
+        "PQS008"
+    ]
+    pqsec("-k k revoke /lost --yes").refused(3, "no participant")
+    pqsec("-k k revoke --yes").refused(2, "nothing to revoke")
+    done = pqsec("-k k revoke --certificate cert.pem --yes --json").done().json["revoked"]
+    assert [(each["name"], each["listed"]) for each in done] == [("/lost", True)]
+    pqsec("-k k revoke --certificate k/public/identity_ca.cert.pem --yes").refused(
+        3, "is not a certificate of"
+    )
 
 
 def test_metrics_stay_valid_with_hostile_names(tmp_path, k):
@@ -156,7 +186,8 @@ def test_metrics_stay_valid_with_hostile_names(tmp_path, k):
     standing = status(keystore, now=datetime.now(UTC))
     robots = robot_states(keystore, standing.participants)
     hostile = replace(standing.shared[0], name='x"} 1\\\n\u202e\udcff\r')
-    write_metrics(tmp_path / "m.prom", keystore, replace(standing, shared=(hostile,)), robots)
+    changed = replace(standing, shared=(hostile,))
+    write_metrics(tmp_path / "m.prom", keystore, changed, robots, is_whole=True)
     lines = (tmp_path / "m.prom").read_bytes().decode().split("\n")[:-1]
     samples = [METRIC.fullmatch(line) for line in lines if not line.startswith("#")]
     assert len(samples) > 3

@@ -6,11 +6,20 @@ from dataclasses import replace
 
 import pytest
 
-from pqsec_pki.errors import FileError, MalformedError, VerificationError
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import FileError, KeystoreError, MalformedError, VerificationError
 from pqsec_pki.keystore import Keystore, Ledger, SigningCa, audit, checked_head, write_anchor
 from pqsec_pki.keystore._chain import START, link
 from pqsec_pki.keystore.heads import read_head
-from pqsec_pki.lifecycle import Rollover, Scope, change_passphrase, renew, revoke, sign_head
+from pqsec_pki.lifecycle import (
+    Rollover,
+    Scope,
+    change_passphrase,
+    renew,
+    revocable,
+    revoke,
+    sign_head,
+)
 from pqsec_pki.transparency import Checkpoint, HeadExtension, MerkleTree, leaf_of
 from tests.unit.keystores import DAY, NOW, add, enter, made, rotate
 from tests.unit.test_ledger import alter, database, entry
@@ -356,3 +365,36 @@ def test_anchors_of_cas_that_were_replaced_stay_valid(keystore, anchors, scope):
     assert size(now) == len(now.lines())
     write_anchor(now, anchors)
     audit(now, anchors=anchors)
+
+
+def forked(keystore, tmp_path):
+    """Two copies were in use: the certificate that the other one issued, and is not in this one."""
+    copy = tmp_path / "copy"
+    shutil.copytree(keystore.root, copy, symlinks=True)
+    add(Keystore.open(copy, to_change=True), **{"/lost": "0"})
+    return Certificate.from_pem((copy / "enclaves/lost/cert.pem").read_bytes())
+
+
+def test_a_certificate_that_the_ledger_lost_is_revoked_by_its_file(keystore, tmp_path):
+    lost, cas = forked(keystore, tmp_path), keystore.unlock(None)
+    assert [each.name for each in revocable(keystore, [], [lost], now=NOW)] == ["/lost"]
+    [done], made_list = revoke(keystore, cas, [], certificates=[lost], now=NOW)
+    assert (done.name, done.listed, done.before) == ("/lost", True, False)
+    assert [each.serial_number for each in made_list.revoked] == [lost.serial_number]
+    [done], _ = revoke(keystore, cas, [], certificates=[lost], now=NOW)
+    assert done.before
+    _, again = revoke(keystore, cas, ["/talker"], now=NOW)
+    assert len(again.revoked) == 2
+    sign_head(keystore, cas)
+    audit(keystore)
+
+
+def test_a_certificate_of_another_ca_is_not_revoked(keystore, tmp_path):
+    other = made(tmp_path / "other", "classical")
+    foreign = Certificate.from_pem((other.root / "enclaves/talker/cert.pem").read_bytes())
+    for each in (foreign, keystore.identity_ca, keystore.permissions_ca):
+        with pytest.raises(KeystoreError, match="is not a certificate of"):
+            revoke(keystore, keystore.unlock(None), [], certificates=[each], now=NOW)
+    lost = forked(keystore, tmp_path)
+    with pytest.raises(KeystoreError, match="expired on"):
+        revoke(keystore, keystore.unlock(None), [], certificates=[lost], now=lost.not_after + DAY)

@@ -1,7 +1,10 @@
 """Rules about what could not be checked: unreadable files, incomplete keystores."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import SETTINGS, faults_of_ledger
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
@@ -38,6 +41,29 @@ def interrupted_change(inventory: Inventory) -> Iterator[Violation]:
         yield Violation(
             "a change of the keystore was not finished", path=inventory.interrupted_change
         )
+
+
+@lint_rule(
+    "PQS008", Severity.ERROR, "the ledger is not the one that the CAs signed",
+    why="The ledger is shorter than the newest head that the CAs signed, or has other lines:"
+    " somebody cut its end, rewrote it, or restored an older copy. What is gone may be revocations,"
+    " so lists that are issued from now on would lack them.",
+    fix="Restore the ledger that fits. If it is lost, `pqsec log --verify` shows since when;"
+    " `pqsec revoke --certificate FILE` revokes certificates that the ledger no longer has.",
+    bad="""
+        $ cp -p k/private/ledger.sqlite3 older
+        $ pqsec -k k issue /third --publish chatter
+        $ mv k/private/ledger.sqlite3 newer
+        $ mv older k/private/ledger.sqlite3
+    """,
+    good="$ mv newer k/private/ledger.sqlite3",
+)  # fmt: skip
+def other_ledger(inventory: Inventory) -> Iterator[Violation]:
+    if not inventory.keystore:
+        return
+    with suppress(PqsecError):  # private/ is not for everybody to read
+        for fault in faults_of_ledger(inventory.keystore):
+            yield Violation(fault, path=inventory.keystore.root / SETTINGS)
 
 
 @lint_rule(
