@@ -12,6 +12,7 @@ from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
+    Baseline,
     Finding,
     LintReport,
     Rule,
@@ -19,6 +20,7 @@ from pqsec_pki.lint import (
     Suppression,
     from_option,
     rule_named,
+    to_code_quality,
     to_sarif,
 )
 from pqsec_pki.lint import check as check_all
@@ -26,6 +28,7 @@ from pqsec_pki.stacks import Stack, stack_named
 
 _GROUPED = 2
 """Fewer equal findings after a first one are lines of their own."""
+_GITLAB = "gitlab"
 _COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
 
 
@@ -57,6 +60,9 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
         "Accept one kind of finding, and fail on all other warnings": (
             "pqsec check --strict --ignore PQS707='the keys are on an encrypted disk'"
         ),
+        "Report only what `pqsec check --json > baseline.json` did not find": (
+            "pqsec check --baseline baseline.json"
+        ),
     },
     exit_codes={
         0: "no errors; with --strict, no warnings either",
@@ -75,7 +81,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     shell_complete=_completion.among(Stack),
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
-@_formats.option()
+@_formats.option(_GITLAB)
 @click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
 @click.option(
     "--explain",
@@ -90,6 +96,12 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     metavar="ID=REASON",
     help="Suppress the findings of a rule, with a reason. Also in .pqsec-check.yaml.",
 )
+@click.option(
+    "--baseline",
+    type=_settings.FILE,
+    metavar="FILE",
+    help="Ignore the findings in FILE, which an earlier `pqsec check --json` printed.",
+)
 @_settings.command_options
 def check(  # noqa: PLR0913 -- one for each option
     paths: tuple[Path, ...],
@@ -98,6 +110,7 @@ def check(  # noqa: PLR0913 -- one for each option
     explain: str | None,
     form: str,
     *,
+    baseline: Path | None,
     strict: bool,
     sarif: bool,
 ) -> None:
@@ -112,16 +125,22 @@ def check(  # noqa: PLR0913 -- one for each option
         _explain(rule_named(explain))
         return
     if sarif and _formats.chosen(form) != _formats.TABLE:
-        option = "format" if form == _formats.CSV else "json"
+        option = "json" if form in {_formats.TABLE, _formats.JSON} else "format"
         raise UsageError(f"--{option} and --sarif exclude each other")
+    known = Baseline.read(baseline) if baseline else None
     report = check_all(
         paths or (_settings.keystore_path(),),
         now=_settings.now(),
         targets=targets,
         ignore=map(_suppression, ignored),
     )
+    if known:
+        report = _without_known(report, known)
     if sarif:
         _printing.emit(None, [json.dumps(to_sarif(report), indent=2)], verbatim=True)
+    elif _formats.chosen(form) == _GITLAB:
+        issues = to_code_quality(report)
+        _printing.emit(None, [json.dumps(issues, indent=2)], verbatim=True)
     else:
         _formats.emit(
             form,
@@ -132,6 +151,14 @@ def check(  # noqa: PLR0913 -- one for each option
         )
     if code := _exit_code(report, strict=strict):
         click.get_current_context().exit(code)
+
+
+def _without_known(report: LintReport, known: Baseline) -> LintReport:
+    rest, gone = known.apart(report)
+    if gone:
+        found = _printing.counted(gone, "finding")
+        _printing.note(f"{found} of the baseline no longer found: write it again")
+    return rest
 
 
 def _suppression(text: str) -> Suppression:

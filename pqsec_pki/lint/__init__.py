@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.lint.baseline import Baseline
+    from pqsec_pki.lint.code_quality import to_code_quality
     from pqsec_pki.lint.collect import take_inventory
     from pqsec_pki.lint.document import GovernanceFile
     from pqsec_pki.lint.enclaves.size import largest_messages
@@ -24,6 +26,7 @@ else:
 
 __all__ = [
     "RULES",
+    "Baseline",
     "CertificateFile",
     "File",
     "Finding",
@@ -38,5 +41,6 @@ __all__ = [
     "largest_messages",
     "rule_named",
     "take_inventory",
+    "to_code_quality",
     "to_sarif",
 ]

@@ -111,6 +111,88 @@ def test_the_result_as_sarif_is_one_log(pqsec, flawed):
     pqsec(f"check --sarif --json {PERMISSIONS}").refused(2, "exclude each other")
 
 
+def test_the_result_for_gitlab_is_a_code_quality_report(pqsec, flawed, tmp_path):
+    line = flawed("<id>0</id>", "<id>999</id>")
+    [issue] = json.loads(pqsec(f"check --format gitlab {PERMISSIONS}").out)
+    fingerprint = issue.pop("fingerprint")
+    assert issue.pop("description").startswith("domain 999")
+    assert issue == {
+        "check_name": "PQS233",
+        "severity": "critical",
+        "location": {"path": PERMISSIONS, "lines": {"begin": line}},
+    }
+    edit(tmp_path / PERMISSIONS, "<domains>", "<domains>\n")
+    [moved] = json.loads(pqsec(f"check --format gitlab {PERMISSIONS}").out)
+    assert moved["location"]["lines"]["begin"] == line + 1
+    assert moved["fingerprint"] == fingerprint
+    pqsec(f"check --format gitlab --json {PERMISSIONS}").refused(2, "exclude each other")
+    pqsec(f"check --format gitlab --sarif {PERMISSIONS}").refused(2, "exclude each other")
+
+
+def edit(path, old, new):
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new))
+
+
+def baseline_of(pqsec, tmp_path, words):
+    (tmp_path / "baseline.json").write_text(pqsec(f"check --json {words}").out)
+
+
+def test_what_is_in_the_baseline_does_not_count_and_what_is_new_does(pqsec, flawed, tmp_path):
+    flawed("<id>0</id>", "<id>999</id>")
+    baseline_of(pqsec, tmp_path, PERMISSIONS)
+    old = f"check --baseline baseline.json {PERMISSIONS}"
+    assert pqsec(f"check {PERMISSIONS}").code == 1
+    done = pqsec(f"{old} --json").done().json
+    assert [each["reason"] for each in done["ignored"]] == ["in the baseline"]
+    edit(tmp_path / PERMISSIONS, "<domains>", "<domains>\n\n")
+    assert "no findings, 1 ignored" in pqsec(old).done().out
+    edit(tmp_path / PERMISSIONS, "<id>999</id>", "<id>999</id><id>998</id>")
+    said = pqsec(old)
+    assert said.code == 1
+    assert "999" not in said.out
+
+
+def test_a_second_finding_like_one_of_the_baseline_is_new(pqsec, flawed, tmp_path):
+    flawed("<id>0</id>", "<id>999</id>")
+    baseline_of(pqsec, tmp_path, PERMISSIONS)
+    edit(tmp_path / PERMISSIONS, "<id>999</id>", "<id>999</id><id>999</id>")
+    said = pqsec(f"check --baseline baseline.json {PERMISSIONS}")
+    assert said.code == 1
+    assert "1 error, 1 ignored" in said.out
+
+
+def test_what_is_gone_from_the_baseline_is_noted(pqsec, flawed, tmp_path):
+    flawed("<id>0</id>", "<id>999</id>")
+    baseline_of(pqsec, tmp_path, PERMISSIONS)
+    edit(tmp_path / PERMISSIONS, "<id>999</id>", "<id>0</id>")
+    done = pqsec(f"check --baseline baseline.json {PERMISSIONS}").done()
+    assert "1 finding of the baseline no longer found" in done.err
+
+
+def test_what_cannot_be_read_is_not_old(keystore, tmp_path):
+    keystore()
+    closed = "k/enclaves/talker/cert.pem"
+    check = ["k/enclaves", "--json"]
+    before = as_plain_user(tmp_path, closed, 0, *check)
+    (tmp_path / "baseline.json").write_text(before.stdout)
+    assert any(each["path"] == closed for each in json.loads(before.stdout)["findings"])
+    after = as_plain_user(tmp_path, closed, 0, *check, "--baseline", "baseline.json")
+    assert after.returncode == 3
+
+
+NO_BASELINES = ["", "{}", "[]", "no", '{"findings": 1}', '{"findings": [{}]}', "[" * 10**5]
+NO_BASELINES += ['{"findings": [{"rule": [], "path": 1, "message": null}]}', "\udcff"]
+
+
+@pytest.mark.parametrize("text", NO_BASELINES, ids=range(len(NO_BASELINES)))
+def test_what_is_no_baseline_is_refused(pqsec, flawed, tmp_path, text):
+    flawed()
+    (tmp_path / "b.json").write_text(text, errors="surrogateescape")
+    pqsec(f"check --baseline b.json {PERMISSIONS}").refused(3, "b.json: not a baseline")
+
+
 def test_only_the_stacks_that_are_meant_are_asked(pqsec, flawed):
     flawed("<id>0</id>", "<id>999</id>")
     assert pqsec(f"check --target fastdds {PERMISSIONS}").code == 0

@@ -44,6 +44,7 @@ grants:
     publish: [rt/chatter]
 """
 FILES = {
+    "baseline.json": '{"findings": []}',
     "names.txt": "/talker\n/listener  # both on one robot\n",
     "talker.yaml": POLICY.format(name="/talker"),
     "permissions.yaml": POLICY.format(name="/fleet/robot9"),
