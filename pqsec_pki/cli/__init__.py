@@ -42,6 +42,7 @@ COMMANDS = {
     "bundle": ("bundle", "Write everything that one robot needs into one file."),
     "install": ("install", "Check a bundle and install it on this robot."),
     "rollback": ("install", "Restore what was installed before the last bundle."),
+    "enrol": ("enrol", "Enrol this robot at a server: make its keys, install what it answers."),
     "receipt": (
         "receipt",
         "Record what robots run, from the receipts that `pqsec install` writes.",
@@ -107,7 +108,7 @@ GROUPS = {
         "demo ca adopt issue permit renew needs-renewal revoke status log plan approve apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
-        "request bundle-key bundle install rollback receipt sign-request ra"
+        "request bundle-key bundle install rollback enrol receipt sign-request ra"
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (

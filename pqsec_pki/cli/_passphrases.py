@@ -81,7 +81,7 @@ def pin(token: str) -> str:
 
     file = os.environ.get(PIN_VARIABLE)
     if file or not sys.stdin.isatty():
-        _note_open(Path(file or os.devnull))
+        note_open(Path(file or os.devnull))
         return stored_pin(token)
     return asked(f"PIN of token '{token}'").decode()
 
@@ -151,7 +151,8 @@ def asked(what: str, *, twice: bool = False) -> bytes:
         raise PassphraseError("the passphrase is not in the terminal's encoding") from None
 
 
-def _note_open(path: Path) -> None:
+def note_open(path: Path) -> None:
+    """Say so if others can read a secret file."""
     with suppress(OSError):  # whoever reads it raises the error
         if stat.S_ISREG(mode := path.stat().st_mode) and mode & 0o077:
             _printing.note(f"{path} can be read by others: chmod 600 it")
@@ -161,7 +162,7 @@ def first_line(path: Path) -> bytes:
     """The first line of the file, without its line end. PassphraseError if it is empty."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
 
-    _note_open(path)
+    note_open(path)
     passphrase = read(path, limit=MAX_FILE).split(b"\n", 1)[0].rstrip(b"\r")
     if not passphrase:
         raise PassphraseError(f"{path}: the first line is empty, and must be the passphrase")

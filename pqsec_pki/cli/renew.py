@@ -5,9 +5,21 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _bundles, _completion, _formats, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import (
+    _bundles,
+    _completion,
+    _formats,
+    _help,
+    _network,
+    _passphrases,
+    _printing,
+    _settings,
+)
 from pqsec_pki.cli._names import admitted, named
+from pqsec_pki.cli._renew_from import refuse_mixed, renew_from
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
+from pqsec_pki.cli.request import folder_option
+from pqsec_pki.enrolment import pins_of
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import State, Status
 from pqsec_pki.keystore import status as status_of
@@ -25,11 +37,20 @@ _NO_TIME = timedelta()
             "pqsec renew /talker /listener --validity 26w --rekey"
         ),
         "Renew all nodes of a robot": "pqsec renew '/fleet/*'",
+        "On a robot, renew from its server what is due, and fetch what is new": (
+            "pqsec renew --from https://enrol.example:8443 --dir /etc/dds"
+        ),
     },
     exit_codes={
         0: "renewed, or nothing was due",
-        1: "not renewed: a document is not valid, or a key was revoked as compromised",
-        3: "not renewed: a participant, the keystore or the passphrase is missing or wrong",
+        1: (
+            "not renewed: a document is not valid, a key was revoked as compromised, or the server"
+            " refused"
+        ),
+        3: (
+            "not renewed: a participant, the keystore or the passphrase is missing or wrong, the"
+            " server cannot be reached, or the request waits for an approval"
+        ),
     },
 )
 @click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
@@ -57,6 +78,11 @@ _NO_TIME = timedelta()
     help="Issue for this long from now.  [default: as long as before]",
 )
 @_passphrases.option
+@click.option(
+    "--from", "url", metavar="URL", help="On a robot: renew what is in DIR from this server."
+)
+@folder_option
+@_network.server_options
 @_settings.command_options
 def renew(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
@@ -64,6 +90,11 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     validity: timedelta | None,
     passphrase_file: Path | None,
     *,
+    url: str | None,
+    folder: Path,
+    server_pins: tuple[str, ...],
+    server_ca: Path | None,
+    fingerprints: tuple[str, ...],
     everybody: bool,
     rekey: bool | None,
     compromised_keys: bool,
@@ -72,7 +103,17 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
 
     Name participants ('/robot1/*' is all that match, @hall1 a group), or use --due or
     --all. Either all are renewed or none. If the revocation list is due, a new one is issued too.
+
+    With --from, on a robot that enrolled with `pqsec enrol`: a certificate that is due, or all
+    with --rekey, is replaced by one for new keys; else the newest documents and list are fetched.
+    Each participant is renewed by itself, and stays as it was if that fails. How the server is
+    known is in DIR/server.json, unless you say it.
     """
+    refuse_mixed(url)
+    if url is not None:
+        server, pins = (server_pins, server_ca), pins_of(fingerprints) or None
+        renew_from(url, names, folder, server, pins, due=due or None, rekey=rekey)
+        return
     ways = [bool(names), due is not None, everybody].count(True)
     if not ways:
         raise UsageError("no participant named: give names, --due or --all")

@@ -25,12 +25,19 @@ if TYPE_CHECKING:
         server_context,
         spki_pin,
     )
-    from pqsec_pki.est.token_file import EnrolmentToken, checked_url, is_secret
+    from pqsec_pki.est.token_file import (
+        MAX_TOKEN_FILE,
+        EnrolmentToken,
+        checked_url,
+        is_secret,
+        server_pin,
+    )
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "GROUP",
+    "MAX_TOKEN_FILE",
     "EnrolmentToken",
     "EstClient",
     "KeyTerms",
@@ -50,5 +57,6 @@ __all__ = [
     "refuse_classical",
     "renew",
     "server_context",
+    "server_pin",
     "spki_pin",
 ]

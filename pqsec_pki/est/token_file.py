@@ -19,7 +19,7 @@ from pqsec_pki.enrolment import Pins, pin_texts, pins_of
 from pqsec_pki.errors import MalformedError, UsageError, shown
 
 FORMAT, KIND = 1, "enrolment token"
-MAX_FILE = 64 << 10
+MAX_TOKEN_FILE = 64 << 10
 """Bytes. A token has 600."""
 SECRET_SIZE, ID_SIZE = 32, 8
 """Bytes."""
@@ -82,7 +82,7 @@ class EnrolmentToken:
                 raise MalformedError("an enrolment token of another version of pqsec")
             token = cls(
                 server=checked_url(str(value["server"])),
-                server_pins=frozenset(_pin(each) for each in value["server_pins"]),
+                server_pins=frozenset(server_pin(str(each)) for each in value["server_pins"]),
                 cas=pins_of(map(str, value["cas"])),
                 id=str(value["id"]),
                 secret=str(value["secret"]),
@@ -154,10 +154,12 @@ def checked_url(text: str) -> str:
     )
 
 
-def _pin(text: str) -> str:
-    if not _PIN.fullmatch(text):
-        raise ValueError("its pin of the server is not SHA-256 in hex")
-    return text
+def server_pin(text: str) -> str:
+    """The SHA-256 of a server's key as it is compared; UsageError if `text` is none."""
+    pin = text.lower().replace(":", "")
+    if not _PIN.fullmatch(pin):
+        raise UsageError(f"'{shown(text)}' is not SHA-256 in hex")
+    return pin
 
 
 def _text(secret: bytes) -> str:

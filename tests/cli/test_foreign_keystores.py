@@ -52,7 +52,7 @@ CHANGING = {
     *("ra add", "ra revoke"),
 }
 WITHOUT = {
-    *("demo", "request", "bundle-key", "install", "rollback", "explain-error", "profiles"),
+    *("demo", "request", "bundle-key", "install", "rollback", "enrol", "explain-error", "profiles"),
     *("sign-request export", "sign-request import", "algorithms", "approve", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),

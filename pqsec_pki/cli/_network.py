@@ -1,0 +1,105 @@
+"""Options that enrol and renew share: the server, whom to trust, and what became of a robot."""
+
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.errors import PqsecError, UsageError
+
+if TYPE_CHECKING:
+    from pqsec_pki.est import Obtained, ServerTrust
+
+EXTRA = "enrol"
+
+
+def server_options(command: _settings.Command) -> _settings.Command:
+    """Add how the server is known, and which CAs are trusted."""
+    for option in reversed(_OPTIONS):
+        command = option(command)
+    return command
+
+
+_OPTIONS: tuple[Callable[[_settings.Command], _settings.Command], ...] = (
+    click.option(
+        "--server-pin",
+        "server_pins",
+        multiple=True,
+        metavar="SHA256",
+        help="Trust the server whose key (SPKI) has this SHA-256; one option for each key.",
+    ),
+    click.option(
+        "--server-ca",
+        type=_settings.FILE,
+        metavar="FILE",
+        help="Trust the server if a CA in this file issued its certificate, for its name.",
+    ),
+    click.option(
+        "--ca-fingerprint",
+        "fingerprints",
+        multiple=True,
+        metavar="ROLE:SHA256",
+        help="Trust this CA as identity, permissions or countersigner; one option for each CA."
+        " [default: the CAs that are trusted here]",
+    ),
+)
+
+
+def server_trust(server_pins: Iterable[str], server_ca: Path | None) -> "ServerTrust | None":
+    """What the options say; None if they say nothing. UsageError for both, or for no SHA-256."""
+    from pqsec_pki._files import read  # noqa: PLC0415 -- not for --help
+    from pqsec_pki.est import ServerTrust, server_pin  # noqa: PLC0415 -- a library of an extra
+
+    pins = frozenset(map(server_pin, server_pins))
+    if pins and server_ca:
+        raise UsageError("--server-pin and --server-ca exclude each other")
+    if not (pins or server_ca):
+        return None
+    return ServerTrust(pins, read(server_ca) if server_ca else b"")
+
+
+def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:
+    """Send the receipt, and print what became of each participant; raise what failed."""
+    done = [each for each in found if not isinstance(each, PqsecError)]
+    failed = [each for each in found if isinstance(each, PqsecError)]
+    if done:
+        _send_receipt(folder)
+        lines = [f"{each.name}  {_words(each)}, until {_end(each)}  {folder}" for each in done]
+        _printing.emit({"participants": done}, lines)
+    if failed:
+        raise FailedError(failed)
+
+
+class FailedError(PqsecError):
+    """What failed, of several participants."""
+
+    def __init__(self, errors: Sequence[PqsecError]) -> None:
+        super().__init__(str(errors[0]), hint=errors[0].hint)
+        self.errors = tuple(errors)
+        self.exit_code = max(each.exit_code for each in errors)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """Those of each error."""
+        return tuple(line for each in self.errors for line in each.lines)
+
+
+def _send_receipt(folder: Path) -> None:
+    from pqsec_pki.est import deliver_receipt  # noqa: PLC0415 -- a library of an extra
+
+    try:
+        deliver_receipt(folder)
+    except PqsecError as error:
+        _printing.note(f"the server has no receipt yet; `pqsec renew --from` sends it: {error}")
+
+
+def _words(each: "Obtained") -> str:
+    if each.renewed:
+        return "has a new certificate"
+    return "has newer documents" if each.changed else "is up to date"
+
+
+def _end(each: "Obtained") -> str:
+    return f"{each.certificate.not_after:%Y-%m-%d}"
