@@ -17,10 +17,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pqsec_pki import __version__
+from pqsec_pki.cli import _failures
 from pqsec_pki.cli._completion import VARIABLE
 from pqsec_pki.cli._help import Group
-from pqsec_pki.cli._printing import printable
-from pqsec_pki.cli._settings import command_options
+from pqsec_pki.cli._settings import CommandSettings, command_options
 from pqsec_pki.errors import FileError, ForeignAlgorithmWarning, PqsecError, meant, shown
 
 if TYPE_CHECKING:
@@ -184,17 +184,18 @@ def main() -> None:
         with suppress(PqsecError, click.ClickException, OSError):  # they would be in the prompt
             pqsec.main(prog_name="pqsec", standalone_mode=False)
         sys.exit(1)
+    settings = CommandSettings()
     try:
         _refuse_removed_folder()
-        result = pqsec.main(prog_name="pqsec", standalone_mode=False)
+        result = pqsec.main(prog_name="pqsec", standalone_mode=False, obj=settings)
     except PqsecError as error:
-        _print_errors(*error.lines, hint=error.hint)
+        _failures.print_error(error, as_json=_failures.is_json(settings))
         sys.exit(error.exit_code)
     except click.ClickException as error:
-        _print_usage_error(error)
+        _failures.print_usage_error(error, as_json=_failures.is_json(settings))
         sys.exit(error.exit_code)
     except click.Abort:
-        _print_errors("interrupted")
+        _failures.print_messages("interrupted")
         sys.exit(130)
     sys.exit(result if isinstance(result, int) else 0)
 
@@ -235,22 +236,3 @@ def _refuse_removed_folder() -> None:
         raise FileError(
             "the current folder has been removed", hint="change to another folder"
         ) from error
-
-
-def _print_usage_error(error: click.ClickException) -> None:
-    if isinstance(error, click.exceptions.NoArgsIsHelpError):
-        error.show()
-        return
-    context = error.ctx if isinstance(error, click.UsageError) else None
-    command = context.command_path if context else "pqsec"
-    is_group = context is None or isinstance(context.command, click.Group)
-    what = "lists its commands" if is_group else "shows its arguments and options"
-    message = " ".join(error.format_message().split())  # click lists choices below each other
-    _print_errors(message, hint=f"`{command} --help` {what}")
-
-
-def _print_errors(*messages: str, hint: str | None = None) -> None:
-    for message in messages:
-        click.echo(f"pqsec: error: {printable(message)}", err=True)
-    if hint:
-        click.echo(f"pqsec: hint: {printable(hint)}", err=True)

@@ -2,20 +2,26 @@
 
 import json
 import os
+import shutil
 import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import datetime
 from pathlib import PurePath
+from textwrap import wrap
 
 import click
 
+from pqsec_pki.cli._colour import on_terminal, painted
 from pqsec_pki.cli._settings import settings
 from pqsec_pki.errors import FileError, shown
 
 JSON_VERSION = 1
 """Of what commands print with --json: a key that goes or changes its meaning makes it one more."""
+_GAP = "  "
+_NARROWEST = 16
+"""Columns: a table is not wrapped into less."""
 _SHOWN = 5
 """The most names on one line; --json has all."""
 
@@ -30,10 +36,15 @@ def emit(
     if settings().json:
         text = as_json(value or {})
     else:
-        text = "\n".join(lines if verbatim else map(printable, lines))
+        text = "\n".join(lines if verbatim else map(_shown, lines))
     if text:
         with with_hint("the command itself succeeded"):
             say(text)
+
+
+def _shown(line: str) -> str:
+    text = printable(line)
+    return painted(text) if on_terminal(sys.stdout) else text
 
 
 def as_json(value: Mapping[str, object]) -> str:
@@ -83,7 +94,8 @@ def with_hint(hint: str) -> Iterator[None]:
 
 def note(text: str) -> None:
     """Print a note on stderr."""
-    click.echo(f"pqsec: note: {printable(text)}", err=True)
+    line = f"pqsec: note: {printable(text)}"
+    click.echo(painted(line) if on_terminal(sys.stderr) else line, err=True)
 
 
 def printable(text: str) -> str:
@@ -115,8 +127,29 @@ def numbered(texts: Iterable[str]) -> Iterator[str]:
 
 
 def table(headers: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
-    """The lines of a table with aligned columns."""
+    """The lines of a table with aligned columns; on a terminal, as wide as that.
+
+    Then the cells of the widest column are wrapped between words: no name is cut.
+    """
     grid = [headers, *rows]
     widths = [max(map(len, cells)) for cells in zip(*grid, strict=True)]
-    line = "  ".join(f"{{:{width}}}" for width in widths).format
+    excess = sum(widths) + len(_GAP) * (len(widths) - 1) - _room()
+    widest = widths.index(max(widths))
+    if excess > 0:
+        widths[widest] = max(widths[widest] - excess, _NARROWEST)
+        grid = [line for row in grid for line in _wrapped(row, widest, widths[widest])]
+    line = _GAP.join(f"{{:{width}}}" for width in widths).format
     return [line(*row).rstrip() for row in grid]
+
+
+def _room() -> int:
+    """The columns of the terminal; a pipe has no end."""
+    return shutil.get_terminal_size().columns if sys.stdout.isatty() else sys.maxsize
+
+
+def _wrapped(row: tuple[str, ...], column: int, width: int) -> Iterator[tuple[str, ...]]:
+    """The row; what does not fit in the column is below, beside empty cells."""
+    parts = wrap(row[column], width, break_long_words=False, break_on_hyphens=False) or [""]
+    yield (*row[:column], parts[0], *row[column + 1 :])
+    for part in parts[1:]:
+        yield tuple(part if place == column else "" for place in range(len(row)))

@@ -52,6 +52,8 @@ class Result:
     @property
     def errors(self) -> list[str]:
         """The problems on stderr, which must be all there is but for one hint at the end."""
+        if self.err.startswith("{"):
+            return [each["message"] for each in json.loads(self.err)["errors"]]
         *lines, last = self.err.splitlines()
         if not last.startswith("pqsec: hint: "):
             lines.append(last)
@@ -77,7 +79,8 @@ class Result:
         assert len(self.errors) == problems, self.err
         assert not [word for word in words if word not in "\n".join(self.errors)], self.err
         last = self.err.splitlines()[-1]
-        assert hint is None or (last.startswith("pqsec: hint: ") and hint in last), self.err
+        begins = last.startswith(("pqsec: hint: ", "{"))
+        assert hint is None or (begins and hint in last), self.err
         return self
 
 
