@@ -103,7 +103,7 @@ class ApprovalPolicy:
     def refuse(self, kinds: Collection[Covered]) -> None:
         """KeystoreError if any of `kinds` needs approvals."""
         if words := self.demand(kinds):
-            raise KeystoreError(words, hint=_way_out(self.needs(kinds)))
+            raise KeystoreError(words, hint=_WAY_OUT)
 
     def demand(self, kinds: Collection[Covered]) -> str:
         """What approvals are needed for changes of these kinds, in words; empty for none."""
@@ -133,16 +133,10 @@ class ApprovalPolicy:
         return f"{self._people} for {kinds}"
 
 
-def _way_out(needed: tuple[Covered, ...]) -> str:
-    if needed == (Covered.ROTATE,):
-        return (
-            "a domain file can change the profile; for another rotation, let an approved plan take"
-            " `rotate` out of `approvals` for that time"
-        )
-    return (
-        "change the domain file; `pqsec plan -o plan.json --key KEY` proposes it, others `pqsec"
-        " approve plan.json`, and `pqsec apply plan.json` does it"
-    )
+_WAY_OUT = (
+    "`pqsec propose -o plan.json --key KEY` with this command proposes it, or `pqsec plan` a change"
+    " of the domain file; others `pqsec approve plan.json`, and `pqsec apply plan.json` does it"
+)
 
 
 def _check(required: int, approvers: Mapping[str, PublicKey]) -> None:

@@ -33,7 +33,11 @@ COMMANDS = {
     "ca": ("ca", "Create, show and change the CAs and the revocation list."),
     "plan": ("plan", "Show the changes that `pqsec apply` would make."),
     "apply": ("apply", "Change the keystore to match a domain file."),
-    "approve": ("approve", "Approve a plan that somebody proposed with `pqsec plan -o`."),
+    "approve": (
+        "approve",
+        "Approve a plan that somebody proposed with `pqsec plan -o` or `pqsec propose`.",
+    ),
+    "propose": ("propose", "Propose one command to those who must approve it."),
     "domain": ("domain", "Write a domain file from keystores and policies."),
     "adopt": ("adopt", "Turn a keystore of SROS2 or OpenSSL into a pqsec keystore, and check it."),
     "issue": ("issue", "Issue participants: key, certificate and signed permissions."),
@@ -105,7 +109,8 @@ COMMANDS = {
 
 GROUPS = {
     "Issue and maintain": (
-        "demo ca adopt issue permit renew needs-renewal revoke status log plan approve apply domain"
+        "demo ca adopt issue permit renew needs-renewal revoke status log plan propose approve"
+        " apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
         "request bundle-key bundle install rollback enrol receipt sign-request ra"

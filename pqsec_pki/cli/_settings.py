@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from math import isfinite
 from pathlib import Path
@@ -19,6 +20,8 @@ if TYPE_CHECKING:
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
+APPROVED = f"{__name__}.approved"
+"""In a context's `meta`: whether people approved what its command does."""
 KEYSTORE_VARIABLES = ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE")
 
 
@@ -107,7 +110,10 @@ def open_keystore(*, to_change: bool = False) -> "Keystore":
     """Open the keystore; nothing in it is changed unless `to_change`."""
     from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- it imports lxml and more
 
-    return Keystore.open(keystore_path(), to_change=to_change)
+    keystore = Keystore.open(keystore_path(), to_change=to_change)
+    if click.get_current_context().meta.get(APPROVED):
+        return replace(keystore, approved=True)
+    return keystore
 
 
 def now() -> datetime:

@@ -10,9 +10,11 @@ import click
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there
 from pqsec_pki._processes import watched
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.approvals import Approval, PlanProposal
+from pqsec_pki.cli import _help, _passphrases, _printing, _proposed, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli.approve import approval_path, read_approval, read_proposal
+from pqsec_pki.cli.approve import lines as proposal_lines
 from pqsec_pki.cli.plan import (
     PROPOSAL_SUFFIX,
     file_argument,
@@ -27,8 +29,10 @@ from pqsec_pki.domain import (
     Step,
     StepAction,
     apply_plan,
+    approved_command,
     approved_plan,
     change_profile,
+    command_in,
     create_keystore,
     read_domain,
     refuse_mass_revocation,
@@ -107,21 +111,18 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
     FILE is domain.yaml if not named; `pqsec plan` shows the changes. Each batch of
     participants is one change of the keystore. If it is interrupted, run it again: it makes
     the changes that are left. A FILE that ends in .json is a plan of `pqsec plan -o` with
-    approvals of `pqsec approve`: exactly its changes are made.
+    approvals of `pqsec approve`: exactly its changes are made. Of `pqsec propose`, it is one
+    command, which is run.
     """
     if check and folder:
         raise UsageError(
             "--check and --bundles exclude each other", hint="--check does not write anything"
         )
-    wanted: _Wanted
-    if file.suffix == PROPOSAL_SUFFIX:
-        if prune or new_keys:
-            raise UsageError("--prune and --new-keys are for a domain file: a plan says all")
-        wanted = _of_plan(file, approval_files, check=check)
-    else:
-        if approval_files:
-            raise UsageError("--approval is for a plan", hint="`pqsec plan` with -o makes one")
-        wanted = _of_domain(file, check=check, prune=prune, new_keys=new_keys)
+    if words := _command_of(file, is_chosen=prune or new_keys):
+        _refuse_choices(check=check, bundles=bool(folder))
+        _run(words, file, approval_files, passphrase_file, yes=yes, none=no_passphrase)
+        return
+    wanted = _wanted(file, approval_files, check=check, prune=prune, new_keys=new_keys)
     desired, keystore, found = wanted.desired, wanted.keystore, wanted.found
     changes, done = bool(found.steps) and not check, list[Step]()
     if changes:
@@ -141,6 +142,22 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         click.get_current_context().exit(1)
 
 
+def _command_of(file: Path, *, is_chosen: bool) -> list[str] | None:
+    """The words of the command in a plan; None if the file is another plan, or a domain file."""
+    if file.suffix != PROPOSAL_SUFFIX:
+        return None
+    if is_chosen:
+        raise UsageError("--prune and --new-keys are for a domain file: a plan says all")
+    return command_in(read_proposal(file)[0])
+
+
+def _refuse_choices(**given: bool) -> None:
+    """UsageError for an option that a plan of one command does not have."""
+    for name, is_given in given.items():
+        if is_given:
+            raise UsageError(f"--{name} is not for a plan of one command")
+
+
 @dataclass(frozen=True, slots=True)
 class _Wanted:
     """What is to be done."""
@@ -158,6 +175,17 @@ class _Wanted:
         return begun.keystore, begun.plan
 
 
+def _wanted(
+    file: Path, approval_files: tuple[Path, ...], *, check: bool, prune: bool, new_keys: bool
+) -> _Wanted:
+    """What the domain file or the plan in `file` wants."""
+    if file.suffix == PROPOSAL_SUFFIX:
+        return _of_plan(file, approval_files, check=check)
+    if approval_files:
+        raise UsageError("--approval is for a plan", hint="`pqsec plan` with -o makes one")
+    return _of_domain(file, check=check, prune=prune, new_keys=new_keys)
+
+
 def _of_domain(file: Path, *, check: bool, prune: bool, new_keys: bool) -> _Wanted:
     desired, now = read_domain(file), _settings.now()
     keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
@@ -167,11 +195,43 @@ def _of_domain(file: Path, *, check: bool, prune: bool, new_keys: bool) -> _Want
     return _Wanted(desired, keystore, found)
 
 
-def _of_plan(file: Path, approval_files: tuple[Path, ...], *, check: bool) -> _Wanted:
+def _run(  # noqa: PLR0913 -- the options of the command
+    words: list[str],
+    file: Path,
+    approval_files: tuple[Path, ...],
+    passphrase_file: Path | None,
+    *,
+    yes: bool,
+    none: bool,
+) -> None:
+    """Run the command of a plan, if enough people approved it."""
+    proposal, approvals = _approved(file, approval_files)
+    keystore = _settings.open_keystore(to_change=True)
+    if not yes:
+        confirm(
+            lambda: _printing.emit(None, proposal_lines(proposal, file)),
+            "Run this command?",
+            what="a command would be run",
+            hint="--yes runs it; `pqsec approve` shows it",
+        )
+    with keystore.hold():
+        review = _proposed.review_of(words, keystore)
+        with approved_command(proposal, approvals, review, keystore, now=_settings.now()):
+            code = _proposed.run(words, passphrase_file, no_passphrase=none)
+    if code:
+        click.get_current_context().exit(code)
+
+
+def _approved(file: Path, approval_files: tuple[Path, ...]) -> tuple[PlanProposal, list[Approval]]:
+    """The plan in the file, and the approvals of it."""
     proposal, first = read_proposal(file)
     beside = [approval_path(file, name) for name in proposal.policy.approvers]
     places = approval_files or [path for path in beside if is_there(path)]
-    approvals = [first, *map(read_approval, places)]
+    return proposal, [first, *map(read_approval, places)]
+
+
+def _of_plan(file: Path, approval_files: tuple[Path, ...], *, check: bool) -> _Wanted:
+    proposal, approvals = _approved(file, approval_files)
     keystore = _settings.open_keystore(to_change=not check)
     desired = read_domain(file.parent / proposal.domain_file)
     approved = approved_plan(proposal, approvals, desired, keystore, now=_settings.now())

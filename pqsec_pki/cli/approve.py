@@ -6,7 +6,14 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.approvals import MAX_PROPOSAL, Approval, PlanProposal, approval_in, proposal_in
+from pqsec_pki.approvals import (
+    MAX_PROPOSAL,
+    Approval,
+    ChangedRights,
+    PlanProposal,
+    approval_in,
+    proposal_in,
+)
 from pqsec_pki.approvals import approve as approval_by
 from pqsec_pki.cli import _approver, _help, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
@@ -52,7 +59,7 @@ def approve(  # noqa: PLR0913 -- one for each option, by name
     force: bool,
     yes: bool,
 ) -> None:
-    """Approve a plan that somebody proposed with `pqsec plan -o`.
+    """Approve a plan that somebody proposed with `pqsec plan -o` or `pqsec propose`.
 
     Shows what the plan would change, and signs exactly that: these changes, this domain file and
     this state of the keystore. No keystore is needed. Send the file that it writes to whoever
@@ -81,7 +88,9 @@ def _ask(proposal: PlanProposal, plan: Path, name: str) -> None:
     confirm(
         lambda: _printing.emit(None, lines(proposal, plan)),
         f"Approve this as {name}?",
-        what=f"{len(proposal.steps)} changes would be approved",
+        what=f"{len(proposal.steps)} changes would be approved"
+        if proposal.domain_file
+        else "a command would be approved",
         hint="--yes approves; without it, the changes are shown first",
     )
 
@@ -90,7 +99,8 @@ def lines(proposal: PlanProposal, plan: Path) -> Iterator[str]:
     """All that would be approved."""
     yield f"plan {proposal.digest}"
     yield f"by {proposal.proposer}, until {proposal.expires:%Y-%m-%d %H:%M} UTC"
-    yield f"domain file: {proposal.domain_file}, {_state_of(proposal, plan)}"
+    if proposal.domain_file:
+        yield f"domain file: {proposal.domain_file}, {_state_of(proposal, plan)}"
     yield f"state of the keystore: {proposal.head}"
     alike: dict[tuple[str, str], list[str]] = {}
     for step in proposal.steps:
@@ -98,11 +108,17 @@ def lines(proposal: PlanProposal, plan: Path) -> Iterator[str]:
     for (action, why), names in alike.items():
         yield f"{action}: {', '.join(names)} ({why})" if any(names) else f"{action}: {why}"
     for each in proposal.rights:
-        yield f"rights of {', '.join(each.names)}:" if each.names else "governance:"
+        yield f"{_whose(proposal, each)}:"
         yield from (f"  {change}" for change in each.changes)
     if proposal.needs:
         kinds = ", ".join(each.words for each in proposal.needs)
         yield f"approvals: {proposal.policy.required} are needed ({kinds})"
+
+
+def _whose(proposal: PlanProposal, changed: ChangedRights) -> str:
+    if changed.names:
+        return f"{'rights of ' * bool(proposal.domain_file)}{', '.join(changed.names)}"
+    return "governance" if proposal.domain_file else "it would"
 
 
 def _state_of(proposal: PlanProposal, plan: Path) -> str:

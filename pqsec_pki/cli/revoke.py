@@ -1,5 +1,6 @@
 """pqsec revoke: revoke certificates of participants."""
 
+from collections.abc import Iterable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -96,7 +97,7 @@ def revoke(  # noqa: PLR0913 -- one for each option, by name
         raise UsageError("nothing to revoke", hint="give names, serial numbers, or --certificate")
     first = not keystore.has_revocation_list
     chosen = named(keystore, subjects)
-    certificates = [*map(_certificate, files)]
+    certificates = certificates_in(files)
     if not yes:
         _ask(revocable(keystore, chosen, certificates, now=now))
     authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.IDENTITY)
@@ -122,9 +123,13 @@ def revoke(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
 
 
-def _certificate(path: Path) -> Certificate:
-    with located(path):
-        return Certificate.from_pem(read(path))
+def certificates_in(paths: Iterable[Path]) -> list[Certificate]:
+    """The certificates in these files."""
+    found = []
+    for path in paths:
+        with located(path):
+            found.append(Certificate.from_pem(read(path)))
+    return found
 
 
 def _ask(certificates: list[Entry]) -> None:

@@ -1,5 +1,6 @@
 """pqsec ca rotate: replace the CAs, with a plan of the consequences."""
 
+from collections.abc import Mapping
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
@@ -116,6 +117,14 @@ def rotate(
     if asks:
         _ask(planned)
     _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase, confirmed=asks)
+
+
+_OWN = {"plan", "do", "yes", "no_passphrase", "passphrase_file"}
+
+
+def terms_of(keystore: Keystore, params: Mapping[str, Any]) -> Rollover:
+    """What these values of the command's options ask for."""
+    return _terms(keystore, **{key: params[key] for key in params.keys() - _OWN})
 
 
 def _terms(

@@ -16,6 +16,13 @@ if TYPE_CHECKING:
     from pqsec_pki.domain._role_values import role_value
     from pqsec_pki.domain.applying import apply, apply_plan, create_keystore, refuse_mass_revocation
     from pqsec_pki.domain.approved import ApprovedPlan, approved_plan
+    from pqsec_pki.domain.commanded import (
+        KINDS,
+        CommandReview,
+        approved_command,
+        command_in,
+        propose_command,
+    )
     from pqsec_pki.domain.desired import Desired, Member, Role
     from pqsec_pki.domain.importing import Imported, import_domain
     from pqsec_pki.domain.ordered import OrderedIssue, ordered_issue, perform_order
@@ -27,8 +34,10 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "KINDS",
     "ApprovedPlan",
     "Blocked",
+    "CommandReview",
     "Desired",
     "Imported",
     "Member",
@@ -40,8 +49,10 @@ __all__ = [
     "StepAction",
     "apply",
     "apply_plan",
+    "approved_command",
     "approved_plan",
     "change_profile",
+    "command_in",
     "create_keystore",
     "desired_in",
     "import_domain",
@@ -50,6 +61,7 @@ __all__ = [
     "perform_order",
     "plan",
     "propose",
+    "propose_command",
     "read_domain",
     "refuse_mass_revocation",
     "refuse_unapproved",

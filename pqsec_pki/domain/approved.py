@@ -54,7 +54,7 @@ class ApprovedPlan:
         if self.begun:
             return approved
         with keystore.hold():
-            _refuse_other_state(self.proposal, keystore.head)
+            refuse_other_state(self.proposal, keystore.head)
             with change(keystore.root) as transaction:
                 transaction.record(*approval_entries(self.proposal, self.approvals, now))
             return replace(approved, plan=replace(self.plan, head=keystore.head))
@@ -77,36 +77,38 @@ def approved_plan(
     if since is not None and not any(step.action in _LINES for step in left):
         raise VerificationError("the plan was applied already", hint="`pqsec log` shows it")
     proposal.refuse_expired(now)
-    _refuse_unapproved(proposal, approvals, keystore)
+    refuse_insufficient(proposal, approvals, keystore)
     if desired.sha256 != proposal.domain_sha256:
-        raise _changed(f"{desired.path} is not the file that the plan was made of")
+        raise changed_since(f"{desired.path} is not the file that the plan was made of")
     if since is None:
-        _refuse_other_state(proposal, keystore.head)
+        refuse_other_state(proposal, keystore.head)
     if since is not None and any(line.entry.kind == PLAN for line in since):
-        raise _changed("another plan was begun after this one was interrupted")
+        raise changed_since("another plan was begun after this one was interrupted")
     review = _reviewed(proposal, left, desired, keystore, now)
     if since is None and (review.rights, _needs(review)) != (proposal.rights, proposal.needs):
-        raise _changed("the rights that change are not those in the plan")
+        raise changed_since("the rights that change are not those in the plan")
     return ApprovedPlan(proposal, tuple(approvals), keystore, review.plan, since is not None)
 
 
-def _refuse_unapproved(
+def refuse_insufficient(
     proposal: PlanProposal, approvals: Sequence[Approval], keystore: Keystore
 ) -> None:
+    """VerificationError unless these are enough by the keystore's rule, which is the proposal's."""
     policy = keystore.approvals
     if policy is None:
         raise KeystoreError(
             f"{keystore.root} demands no approvals", hint="`pqsec apply` takes the domain file"
         )
     if policy != proposal.policy:
-        raise _changed(f"the plan was made for other approvals than the keystore's: {policy}")
+        raise changed_since(f"the plan was made for other approvals than the keystore's: {policy}")
     required = policy.required if proposal.needs else 1
     refuse_without(proposal.digest, policy, approvals, required=required)
 
 
-def _refuse_other_state(proposal: PlanProposal, head: str) -> None:
+def refuse_other_state(proposal: PlanProposal, head: str) -> None:
+    """VerificationError if the ledger has another head than when the plan was made."""
     if head != proposal.head:
-        raise _changed("the keystore was changed since the plan was made")
+        raise changed_since("the keystore was changed since the plan was made")
 
 
 def _left(proposal: PlanProposal, since: Sequence[Line]) -> Iterator[ProposedStep]:
@@ -133,7 +135,9 @@ def _reviewed(
     if lost := set(left).symmetric_difference(review.steps):
         first = min(lost, key=lambda step: (step.action, step.name))
         what = f"{first.action} {first.name}".rstrip()
-        raise _changed(f"files were changed since the plan was made: '{what}' is another step now")
+        raise changed_since(
+            f"files were changed since the plan was made: '{what}' is another step now"
+        )
     return review
 
 
@@ -143,5 +147,6 @@ def _needs(review: PlanReview) -> tuple[Covered, ...]:
     return policy.needs(review.kinds) if policy else ()
 
 
-def _changed(words: str) -> VerificationError:
+def changed_since(words: str) -> VerificationError:
+    """The error for a plan that no longer fits."""
     return VerificationError(words, code=Code.CONTENT_CHANGED, hint=_AGAIN)

@@ -69,6 +69,10 @@ class PlanReview:
         alike: dict[tuple[str, ...], list[str]] = {}
         for name, difference in (*self._issued(), *self._signed()):
             alike.setdefault(tuple(_words(difference)), []).append(name)
+        for step in self.plan.steps:
+            if step.keys:
+                words = f"a certificate for the key with SHA-256 {step.keys}"
+                alike.setdefault((words,), []).append(step.name)
         for name in self._named(StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW):
             days = self.desired.members[name].validity / timedelta(days=1)
             alike.setdefault((f"a certificate that is valid for {days:g} days",), []).append(name)

@@ -64,7 +64,13 @@ if TYPE_CHECKING:
         read_anchors,
         write_anchor,
     )
-    from pqsec_pki.keystore.approving import PLAN, approval_entries, lines_since, policy_entry
+    from pqsec_pki.keystore.approving import (
+        APPROVAL,
+        PLAN,
+        approval_entries,
+        lines_since,
+        policy_entry,
+    )
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
         Authorities,
@@ -129,6 +135,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "APPROVAL",
     "GENERATIONS",
     "GROUP",
     "GROUP_NAME",

@@ -22,6 +22,7 @@ ENDLESS = {"agent run": "it serves until it is told to stop"}
 VALUES = {
     "plan": "plan.json",
     "names": "/talker",
+    "words": "revoke",
     "name": "/talker",
     "subjects": "/talker",
     "text": "141",
@@ -57,6 +58,8 @@ COMPANY = {
     "issue --csr": "--publish t",
     "issue --policy": "--force",
     "issue --seal-for": "--publish t --csr asks.csr",
+    "propose": "--key=alice.pem -o out.json",
+    "propose --key": "-o out.json",
     "request": "--profile classical",
     "try": "--dry-run",
     "verify": "--ca k/public/permissions_ca.cert.pem",

@@ -49,7 +49,7 @@ READING = {
 CHANGING = {
     *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit", "adopt"),
     *("sign-governance", "sign-permissions", "sign-request sign", "receipt import"),
-    *("ra add", "ra revoke"),
+    *("ra add", "ra revoke", "propose"),
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "enrol", "explain-error", "profiles"),

@@ -26,6 +26,7 @@ from pqsec_pki.lifecycle import (
     ParticipantSpec,
     add_registration,
     end_registrations,
+    issue,
     revoke,
     sign_head,
 )
@@ -268,6 +269,14 @@ def test_a_replayed_order_does_not_bring_back_what_was_revoked(line):
     sign_head(line.keystore, line.cas)
     refused(line, order, "was performed, and /fleet/r1 was changed since")
     shutil.rmtree(line.root / "enclaves/fleet/r1")
+    refused(line, order, "was performed, and /fleet/r1 was changed since")
+
+
+def test_an_order_does_not_answer_with_what_was_issued_since(line):
+    order = line.order(line.add(), "/fleet/r1")
+    line.perform(order)
+    spec = ParticipantSpec(name="/fleet/r1", domains=DomainSet.of(0), validity=DAY)
+    issue(line.keystore, line.cas, [spec], now=NOW, force=True)
     refused(line, order, "was performed, and /fleet/r1 was changed since")
 
 

@@ -1,0 +1,153 @@
+"""A command that is proposed: its words read again, what it would change, and its run."""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from pqsec_pki import _files
+from pqsec_pki.approvals import ChangedRights
+from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.cli import _settings
+from pqsec_pki.cli._bundles import load_requests
+from pqsec_pki.cli._settings import APPROVED
+from pqsec_pki.domain import KINDS, CommandReview
+from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
+from pqsec_pki.errors import UsageError, shown
+from pqsec_pki.keystore import Keystore, key_hashes
+from pqsec_pki.lifecycle import plan_rollover, revocable
+
+_AT_APPLY = ("passphrase_file", "no_passphrase")
+"""Options that are given to `pqsec apply`."""
+
+
+def review_of(words: Sequence[str], keystore: Keystore) -> CommandReview:
+    """What these words mean in the keystore now; UsageError for what cannot be proposed."""
+    context = _parsed(words)
+    for option in _AT_APPLY:
+        if _is_given(context, option):
+            raise UsageError(
+                f"--{option.replace('_', '-')} is not proposed: `pqsec apply` takes it"
+            )
+    params, name = context.params, _name(context)
+    if name == "ca rotate" and not params["do"]:
+        raise UsageError("only the plan would be shown", hint="propose it with --apply")
+    rights = tuple(_rights(name, params, keystore))
+    return CommandReview(tuple(words), tuple(_files_of(context)), KINDS[name], rights)
+
+
+def run(words: Sequence[str], passphrase_file: Path | None, *, no_passphrase: bool) -> int:
+    """Run the words as approved, below the current command; returns their exit code."""
+    context = _parsed([*words, *_more(_parsed(words), passphrase_file, none=no_passphrase)])
+    context.meta[APPROVED] = True
+    try:
+        with context:
+            context.command.invoke(context)
+    except click.exceptions.Exit as end:
+        return end.exit_code
+    finally:
+        context.meta[APPROVED] = False
+    return 0
+
+
+def _more(context: click.Context, passphrase_file: Path | None, *, none: bool) -> Iterator[str]:
+    """What the command needs where it is applied."""
+    if "yes" in context.params:
+        yield "--yes"
+    if passphrase_file and "passphrase_file" in context.params:
+        yield f"--passphrase-file={passphrase_file}"
+    if none and "no_passphrase" in context.params:
+        yield "--no-passphrase"
+
+
+def _parsed(words: Sequence[str]) -> click.Context:
+    """The command's context, below the current one: so it has its keystore, and --json."""
+    from pqsec_pki.cli import pqsec  # noqa: PLC0415 -- it imports the commands
+
+    above = click.get_current_context()
+    before = _settings.keystore_path()
+    group: click.Group = pqsec
+    context, rest = above, [*words]
+    names: list[str] = []
+    while True:
+        _, command, rest = group.resolve_command(context, rest)
+        if command is None or (not rest and isinstance(command, click.Group)):
+            raise UsageError("no command is named")
+        names.append(str(command.name))
+        if not isinstance(command, click.Group):
+            break
+        group = command
+    if " ".join(names) not in KINDS:
+        raise UsageError(
+            f"`pqsec {' '.join(names)}` cannot be proposed",
+            hint=f"these can: {', '.join(KINDS)}",
+        )
+    context = command.make_context(" ".join(names), rest, parent=above)
+    if _settings.keystore_path() != before:
+        raise UsageError("a proposed command is for the keystore of this command: leave -k out")
+    return context
+
+
+def _name(context: click.Context) -> str:
+    return str(context.info_name)
+
+
+def _is_given(context: click.Context, option: str) -> bool:
+    return context.get_parameter_source(option) is click.core.ParameterSource.COMMANDLINE
+
+
+def _files_of(context: click.Context) -> Iterator[Path]:
+    """Each file that the words name, or that the command takes by default, if it is there."""
+    found = dict.fromkeys(
+        path
+        for parameter in context.command.params
+        if isinstance(parameter.type, click.Path) and parameter.name not in _AT_APPLY
+        for path in _paths(context.params.get(str(parameter.name)))
+    )
+    yield from (path for path in found if path.is_file())
+
+
+def _paths(value: object) -> Iterable[Path]:
+    if isinstance(value, Path):
+        return [value]
+    return [each for each in value if isinstance(each, Path)] if isinstance(value, tuple) else []
+
+
+def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterator[ChangedRights]:
+    """What people should see besides the words: whom they revoke, which keys they certify."""
+    now = _settings.now()
+    match name:
+        case "revoke":
+            from pqsec_pki.cli.revoke import certificates_in  # noqa: PLC0415 -- only here
+
+            chosen = keystore.named(params["subjects"])
+            if not chosen and not params["files"]:
+                raise UsageError("nothing to revoke")
+            for each in revocable(keystore, chosen, certificates_in(params["files"]), now=now):
+                until = f"{each.ends:%Y-%m-%d}"
+                yield _change(each.name, f"revoked: serial number {each.serial}, until {until}")
+        case "ca rotate":
+            from pqsec_pki.cli.rotate import terms_of  # noqa: PLC0415 -- only here
+
+            steps = plan_rollover(keystore, terms_of(keystore, params), now=now).steps
+            root = f"{keystore.root}/"
+            yield ChangedRights((), tuple(step.replace(root, "") for step in steps))
+        case "issue":
+            yield from _certified(each for _, each in load_requests(params["requests"]))
+        case "sign-request sign":
+            asked = SignRequest.from_bytes(_files.read(params["file"], limit=MAX_ARCHIVE))
+            yield from _certified(asked.requests)
+
+
+def _certified(requests: Iterable[CertificateRequest]) -> Iterator[ChangedRights]:
+    for each in requests:
+        hashes = key_hashes(each.public_key, each.alternative_key)
+        yield _change(
+            name_asked_for(each) or shown(each.subject_name),
+            f"a certificate for the key with SHA-256 {hashes}",
+        )
+
+
+def _change(name: str, words: str) -> ChangedRights:
+    return ChangedRights((shown(name),), (shown(words, len(words)),))
