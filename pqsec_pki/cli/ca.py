@@ -264,6 +264,7 @@ def _show(keystore: Keystore) -> None:
         f"{found.domains.noun:<14} {found.domains}",
         f"CA keys        {found.keys}",
         *(f"{'':<14} {name}: {uri}" for name, uri in found.key_uris.items()),
+        *([f"approvals      {found.approvals}"] if found.approvals else ()),
         f"participants   {', '.join(found.participants) or 'none yet: pqsec issue NAME'}",
     )
     _printing.emit(found.to_json(), lines)

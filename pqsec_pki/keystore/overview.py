@@ -28,6 +28,8 @@ class Overview:
     cas: tuple[tuple[str, Certificate], ...]
     """The role of each CA, and its certificate."""
     participants: tuple[str, ...]
+    approvals: str
+    """Whose approvals changes need; empty if nobody's, or if the ledger cannot be read."""
 
     def to_json(self) -> dict[str, object]:
         """The overview for --json."""
@@ -39,6 +41,7 @@ class Overview:
             "key_uris": self.key_uris,
             "cas": [{"role": role, **each.to_json()} for role, each in self.cas],
             "participants": self.participants,
+            "approvals": self.approvals or None,
         }
 
 
@@ -52,7 +55,14 @@ def overview_of(keystore: Keystore) -> Overview:
         keys=_keys(keystore),
         key_uris=_uris(keystore),
         participants=tuple(keystore.names()),
+        approvals=_approvals(keystore),
     )
+
+
+def _approvals(keystore: Keystore) -> str:
+    with suppress(KeystoreError, FileError):
+        return str(keystore.approvals or "")
+    return ""
 
 
 def _cas(keystore: Keystore) -> Iterator[tuple[str, Certificate]]:

@@ -80,6 +80,7 @@ def test_a_rotation_with_the_same_profile(run):
     done.done()
     assert run("ca show").done().out.count("G2") == 1
     run("ca rotate --apply --yes --no-passphrase").refused(3, "approvals are needed")
+    assert "approvals      2 of alice, bob, carol for grow, revoke, rotate" in run("ca show").out
     run("log --verify").done()
 
 
