@@ -16,6 +16,7 @@ from pqsec_pki.documents import (
     with_line_feeds,
 )
 from pqsec_pki.errors import InvalidDocumentError, PqsecError
+from pqsec_pki.lint._plain import MAX_PLAIN, PLAIN
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Violation
 from pqsec_pki.problems import Problem
@@ -75,6 +76,13 @@ class ParsedText:
             return Permissions.from_xml(self.xml)
         except PqsecError:
             return None
+
+    @property
+    def is_plain(self) -> bool:
+        """Whether it is like the permissions that pqsec writes for most participants."""
+        if len(self.xml) > MAX_PLAIN or not PLAIN.fullmatch(with_line_feeds(self.xml)):
+            return False
+        return self.permissions is not None
 
 
 @dataclass(frozen=True)
@@ -166,6 +174,10 @@ class PermissionsFile(Document):
         return self.permissions.grants if self.permissions else ()
 
 
+class PlainPermissions(PermissionsFile):
+    """A permissions document like those that pqsec writes for most participants."""
+
+
 class Documents:
     """Reads documents. A text that two files have, such as signed and unsigned, is parsed once."""
 
@@ -176,6 +188,8 @@ class Documents:
         """The document in `file`, of the subclass for its kind."""
         xml = file.signed_text[0] if file.is_signed else file.data
         text = None if xml is None else self._text(xml)
+        if text and text.is_plain:
+            return PlainPermissions(file, text)
         document = Document(file, text)
         root = document.root
         kinds = {"domain_access_rules": GovernanceFile, "permissions": PermissionsFile}

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import Node
-from pqsec_pki.lint.document import Document
+from pqsec_pki.lint.document import Document, PlainPermissions
 from pqsec_pki.lint.file import Content
 from pqsec_pki.lint.rule import Violation
 
@@ -66,8 +66,10 @@ class ProfileFile(Content):
 
 def profile_file_of(document: Document) -> ProfileFile | None:
     """The file of `document` as profiles, with `<profiles>` as the root or in it; else None."""
+    if document.file.is_signed or isinstance(document, PlainPermissions):
+        return None
     root = document.root
-    if root is None or document.file.is_signed:
+    if root is None:
         return None
     holders = (root, *root.children) if _local(root) == "dds" else (root,)
     if any(_local(each) == "profiles" for each in holders):

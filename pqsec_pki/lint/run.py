@@ -9,7 +9,9 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import ENCLAVES, TrustAnchors
+from pqsec_pki.lint._plain import NEVER_IN_PLAIN
 from pqsec_pki.lint.collect import take_inventory
+from pqsec_pki.lint.document import PlainPermissions
 from pqsec_pki.lint.enclaves.trust import without_repetitions
 from pqsec_pki.lint.keystores.files import PRIVATE
 from pqsec_pki.lint.keystores.incomplete import UNREAD
@@ -131,12 +133,19 @@ def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Find
     for subject in subjects:
         kind = type(subject)
         if kind not in of_class:
-            of_class[kind] = [rule for rule in rules if issubclass(kind, rule.scope)]
+            of_class[kind] = [rule for rule in rules if _concerns(rule, kind)]
         for rule in of_class[kind]:
             for found in rule.check(subject):
                 path = found.path or subject.path  # type: ignore[attr-defined] # all have one
                 line, message, code = found.line, found.message, found.code
                 yield Finding(rule=rule, path=path, line=line, message=message, code=code)
+
+
+def _concerns(rule: Rule, kind: type) -> bool:
+    """Whether the rule can find anything in a subject of that class."""
+    if issubclass(kind, PlainPermissions) and rule.id in NEVER_IN_PLAIN:
+        return False
+    return issubclass(kind, rule.scope)
 
 
 def _suppression_files(
