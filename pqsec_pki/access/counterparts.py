@@ -184,10 +184,12 @@ class _NearTopics:
     """Finds those of the topics that differ by one edit of a letter from a wanted one."""
 
     def __init__(self, topics: Iterable[str], wanted: Iterable[str]) -> None:
+        wanted = set(wanted)
+        shapes = {(each, size + more) for each, size in map(_shape, wanted) for more in (-1, 0, 1)}
         rests = {rest for topic in wanted for rest in _rests(topic)}
         self._spelled: dict[str, list[str]] = {}
-        for topic in topics:
-            if not rests.isdisjoint(_rests(topic)):  # so with few topics of a large domain
+        for topic in topics:  # with few of a large domain both are so
+            if _shape(topic) in shapes and not rests.isdisjoint(_rests(topic)):
                 for spelling in _spellings(topic):
                     self._spelled.setdefault(spelling, []).append(topic)
 
@@ -223,6 +225,11 @@ def is_one_edit(one: str, other: str) -> bool:
         return short[start].isalpha() and long[start].isalpha()
     swapped = long[start + 1 : start + 2] + long[start : start + 1] + long[start + 2 :]
     return short[start:] == swapped and short[start : start + 2].isalpha()
+
+
+def _shape(topic: str) -> tuple[str, int]:
+    """What is left without letters, which an edit does not change, and the length."""
+    return _LETTERS.sub("", topic), len(topic)
 
 
 def _rests(topic: str) -> Iterator[str]:

@@ -15,7 +15,7 @@ from pqsec_pki._files import read
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, KEY, PERMISSIONS
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.keystore import SETTINGS, Keystore
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import File, file_with
 from pqsec_pki.lint.subjects import SIX
 
 MAX_FILES = 100_000
@@ -165,17 +165,17 @@ class Search:
         key = (found.st_dev, found.st_ino)
         if key in self.files:
             return
-        data, reason = b"", None
         try:
             data = read(path)
         except PqsecError as error:
-            reason = error.words_at(path)
             if path in self.named:
                 raise
+            self._keep(key, File(path, b"", found.st_mode, self.now, error.words_at(path)))
+            return
         self.size += len(data)
         if self.size > MAX_BYTES:
             raise FileError(f"more than {MAX_BYTES} bytes to check", hint="name a smaller folder")
-        self._keep(key, File(path, data, found.st_mode, self.now, reason))
+        self._keep(key, file_with(data, path, found.st_mode, self.now))
 
     def _keep(self, key: tuple[int, int], file: File) -> None:
         if len(self.files) >= MAX_FILES:

@@ -157,6 +157,16 @@ class File:
         return bool(re.search(rb"(?i)<(dds|domain_access_rules|permissions)[\s>/]", head))
 
 
+class SmimeFile(File):
+    """A file that looks like S/MIME: the only one that rules about signatures concern."""
+
+
+def file_with(data: bytes, path: Path, mode: int, now: datetime) -> File:
+    """The file with that content, of the subclass for it."""
+    kind = SmimeFile if is_signed(data) else File
+    return kind(path, data, mode, now)
+
+
 @dataclass(frozen=True)
 class Content:
     """The content of a file."""

@@ -52,12 +52,13 @@ def rights_of(fleet: Fleet, root: Path, now: datetime) -> RightsSection:
 
 def _every(answer: WhoMay) -> Iterator[Right]:
     for each in answer.rows:
+        domains = str(each.domains)
         for action, names in (
             (Action.PUBLISH, each.row.publishers),
             (Action.SUBSCRIBE, each.row.subscribers),
         ):
             for name in names:
-                yield Right(name, action.value, each.row.topic, str(each.domains))
+                yield Right(name, action.value, each.row.topic, domains)
 
 
 def _key(placed: Placed, grouping: Grouping) -> _Key:

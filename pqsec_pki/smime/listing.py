@@ -6,6 +6,7 @@ checks whether the signature is that signer's.
 
 from collections.abc import Iterator
 from datetime import datetime
+from functools import lru_cache
 
 from cryptography import x509
 
@@ -99,7 +100,9 @@ def _digest(oid: str) -> str:
         return oid
 
 
+@lru_cache(MAX_SIGNATURES)
 def _name(der: bytes) -> str:
+    """The name as text; a fleet's documents are all of one signer."""
     try:
         return name_text(x509.Name.from_bytes(der))
     except ValueError as error:

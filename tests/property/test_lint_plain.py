@@ -5,7 +5,7 @@ import stat
 from pathlib import Path
 
 import pytest
-from hypothesis import Phase, assume, given, settings
+from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from pqsec_pki.documents import DomainSet, Grant, Permissions
@@ -48,12 +48,17 @@ def permissions(publish=("rt/chatter",)):
     ).to_xml()
 
 
+SHORT = re.compile(re.sub(rb"\)\+", b"){1,3}", PLAIN.pattern))
+"""With at most three domains, and topics for publishing and for subscribing."""
+
+
 @settings(
-    max_examples=examples(100),
+    max_examples=examples(60),
     deadline=None,
     phases=[Phase.generate],  # making such a text smaller takes minutes, and tells nothing more
+    suppress_health_check=[HealthCheck.too_slow],
 )
-@given(xml=st.from_regex(PLAIN, fullmatch=True), crlf=st.booleans())
+@given(xml=st.from_regex(SHORT, fullmatch=True), crlf=st.booleans())
 def test_rules_that_are_left_out_find_nothing_in_plain_permissions(xml, crlf):
     xml = xml.replace(b"\n", b"\r\n") if crlf else xml
     document = document_of(xml)

@@ -7,7 +7,7 @@ measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 2.9.1, 3.1.2 and 
 import re
 from collections.abc import Iterator
 
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import File, SmimeFile
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import broken_digests
 from pqsec_pki.smime import is_canonical
@@ -55,7 +55,7 @@ def not_smime(file: File) -> Iterator[Violation]:
           -out permissions.p7s
     """,
 )  # fmt: skip
-def not_text(file: File) -> Iterator[Violation]:
+def not_text(file: SmimeFile) -> Iterator[Violation]:
     if file.listed and file.signed_text[0] is None and not file.is_ambiguous:
         yield Violation("the signed text has no header 'Content-Type: text/plain'")
 
@@ -68,8 +68,8 @@ def not_text(file: File) -> Iterator[Violation]:
     bad="$ (echo; cat k/enclaves/talker/permissions.p7s) > permissions.p7s",
     good="$ sed -i 1d permissions.p7s",
 )  # fmt: skip
-def blank_first(file: File) -> Iterator[Violation]:
-    if file.is_signed and _BLANK_FIRST.match(file.data):
+def blank_first(file: SmimeFile) -> Iterator[Violation]:
+    if _BLANK_FIRST.match(file.data):
         yield Violation("begins with a blank line, so stacks find no header", 1)
 
 
@@ -80,8 +80,8 @@ def blank_first(file: File) -> Iterator[Violation]:
     bad="$ head -c 2000 k/enclaves/talker/permissions.p7s > permissions.p7s",
     good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
-def broken(file: File) -> Iterator[Violation]:
-    if file.is_signed and not file.is_ambiguous and (reason := file.signature_error):
+def broken(file: SmimeFile) -> Iterator[Violation]:
+    if not file.is_ambiguous and (reason := file.signature_error):
         yield Violation(f"cannot be read: {reason}")
 
 
@@ -101,7 +101,7 @@ def broken(file: File) -> Iterator[Violation]:
           -out permissions.p7s
     """,
 )  # fmt: skip
-def by_key_identifier(file: File) -> Iterator[Violation]:
+def by_key_identifier(file: SmimeFile) -> Iterator[Violation]:
     signers = file.signers
     if any(signer.key_identifier is not None for signer in signers):
         yield Violation("names its signer by key identifier, which no stack reads")
@@ -129,7 +129,7 @@ def by_key_identifier(file: File) -> Iterator[Violation]:
           -out permissions.p7s
     """,
 )  # fmt: skip
-def not_one_signer(file: File) -> Iterator[Violation]:
+def not_one_signer(file: SmimeFile) -> Iterator[Violation]:
     listed = file.listed
     if listed and len(listed.signers) != 1:
         yield Violation(f"has {len(listed.signers)} signatures; stacks accept exactly one")
@@ -151,7 +151,7 @@ def not_one_signer(file: File) -> Iterator[Violation]:
           -out permissions.p7s
     """,
 )  # fmt: skip
-def broken_digest(file: File) -> Iterator[Violation]:
+def broken_digest(file: SmimeFile) -> Iterator[Violation]:
     for digest in broken_digests(file):
         yield Violation(f"signed with {digest}")
 
@@ -166,8 +166,8 @@ def broken_digest(file: File) -> Iterator[Violation]:
     bad="$ cp elsewhere/ambiguous.p7s permissions.p7s",
     good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
-def ambiguous(file: File) -> Iterator[Violation]:
-    if file.is_signed and file.is_ambiguous and not _BLANK_FIRST.match(file.data):
+def ambiguous(file: SmimeFile) -> Iterator[Violation]:
+    if file.is_ambiguous and not _BLANK_FIRST.match(file.data):
         yield Violation(str(file.signed_text[1]))
 
 
@@ -180,9 +180,8 @@ def ambiguous(file: File) -> Iterator[Violation]:
     bad=r"$ sed 's/$/\r/' k/enclaves/talker/permissions.p7s > permissions.p7s",
     good="$ cp k/enclaves/talker/permissions.p7s .",
 )  # fmt: skip
-def not_canonical(file: File) -> Iterator[Violation]:
-    readable = file.is_signed and file.signed_text[0] is not None
-    if readable and len(file.signers) == 1 and not is_canonical(file.signed):
+def not_canonical(file: SmimeFile) -> Iterator[Violation]:
+    if file.signed_text[0] is not None and len(file.signers) == 1 and not is_canonical(file.signed):
         yield Violation("has another form than pqsec writes; stacks read the same document from it")
 
 
