@@ -6,6 +6,7 @@ and writes DER only. Field names follow the specifications, in snake case.
 """
 
 import re
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from typing import Annotated, TypeVar
 
@@ -68,6 +69,7 @@ __all__ = [
     "plain_words",
     "raw",
     "read_time",
+    "sequence_of",
     "time_of",
     "whole_bytes",
 ]
@@ -172,6 +174,16 @@ def _extent(der: bytes, at: int) -> tuple[int, int]:
 def raw(der: bytes) -> TLV:
     """A complete DER value, embedded unchanged in another structure."""
     return asn1.decode_der(TLV, der)
+
+
+def sequence_of(parts: Iterable[bytes]) -> bytes:
+    """The DER SEQUENCE OF these complete DER values, for a whole message."""
+    inside = b"".join(parts)
+    size = len(inside)
+    if size <= _SHORT:
+        return bytes((_SEQUENCE, size)) + inside
+    length = size.to_bytes((size.bit_length() + 7) // 8)
+    return bytes((_SEQUENCE, _SHORT + 1 + len(length))) + length + inside
 
 
 def bits(data: bytes) -> BitString:

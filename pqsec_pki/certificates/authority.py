@@ -8,6 +8,7 @@ import hashlib
 from dataclasses import field
 from datetime import datetime, timedelta
 from functools import lru_cache
+from ipaddress import ip_address
 from typing import Self
 
 from cryptography import x509
@@ -68,23 +69,27 @@ class Authority:
         return cls.self_signed(name, algorithm.generate(), second, now=now, validity=validity)
 
     @classmethod
-    def self_signed(
+    def self_signed(  # noqa: PLR0913 -- the rarer ones by name
         cls,
         name: str,
         key: PrivateKey,
         alternative: PrivateKey | None = None,
         *,
+        host: str = "",
         now: datetime,
         validity: timedelta,
     ) -> Self:
-        """The same with keys that are there already."""
+        """The same with keys that are there already; with `host`, for a TLS server of that name.
+
+        UsageError for a host that is neither a DNS name nor an address.
+        """
         subject = common_name(name)
         tbs = _tbs(
             subject=subject,
             issuer=subject,
             key=key.public_key,
             window=(now - BACKDATE, end_of(now, validity)),
-            extensions=_authority_extensions(key.public_key),
+            extensions=[*_authority_extensions(key.public_key), *_host_extensions(host)],
         )
         if alternative:
             _alternative.add_key(tbs, alternative.public_key)
@@ -207,6 +212,21 @@ def _sign(tbs: TBSCertificate, key: PrivateKey, alternative_key: PrivateKey | No
 
 def _authority_extensions(key: PublicKey) -> list[Extension]:
     return [_CA, _CA_USAGE, _extension(x509.SubjectKeyIdentifier(key_identifier(key)))]
+
+
+def _host_extensions(host: str) -> list[Extension]:
+    """The name by which TLS clients know a server (RFC 9525)."""
+    if not host:
+        return []
+    name: x509.GeneralName
+    try:
+        name = x509.IPAddress(ip_address(host))
+    except ValueError:
+        try:
+            name = x509.DNSName(host)
+        except ValueError:
+            raise UsageError(f"{host!r} is not a host's name or address") from None
+    return [_extension(x509.SubjectAlternativeName([name]))]
 
 
 def _participant_extensions(key: PublicKey, issuer: Certificate) -> list[Extension]:

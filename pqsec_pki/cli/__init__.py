@@ -51,6 +51,11 @@ COMMANDS = {
         "receipt",
         "Record what robots run, from the receipts that `pqsec install` writes.",
     ),
+    "serve": ("serve", "Let robots enrol and renew over a network."),
+    "enrolment-token": (
+        "enrolment_token",
+        "Create, list and revoke tokens, with which robots enrol over a network.",
+    ),
     "sign-request": ("sign_request", "Sign requests with CAs on an offline machine."),
     "ra": ("ra", "Let others order that new participants are enrolled, within limits."),
     "renew": ("renew", "Renew certificates and permissions, with the same rights as before."),
@@ -113,7 +118,8 @@ GROUPS = {
         " apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
-        "request bundle-key bundle install rollback enrol receipt sign-request ra"
+        "request bundle-key bundle install rollback enrol receipt sign-request ra serve"
+        " enrolment-token"
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (

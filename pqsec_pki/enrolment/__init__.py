@@ -23,7 +23,11 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, answered, ordered, sign
     from pqsec_pki.enrolment.outbox import refresh
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
-    from pqsec_pki.enrolment.receipt_import import ImportedReceipt, import_receipts
+    from pqsec_pki.enrolment.receipt_import import (
+        ImportedReceipt,
+        import_receipts,
+        record_receipts,
+    )
     from pqsec_pki.enrolment.requesting import (
         REQUEST,
         Requested,
@@ -78,6 +82,7 @@ __all__ = [
     "pins_in_use",
     "pins_of",
     "read_receipts",
+    "record_receipts",
     "refresh",
     "removed_alone",
     "request",

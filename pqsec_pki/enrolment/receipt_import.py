@@ -64,7 +64,18 @@ def import_receipts(
     whose key is compromised; for one from the future; and, unless `older`, for one that is not
     newer than the newest recorded. MalformedError for a file that is not a receipt.
     """
-    found, problems = _read(paths)
+    return record_receipts(keystore, map(_file, paths), now=now, older=older)
+
+
+def record_receipts(
+    keystore: Keystore,
+    files: Iterable[tuple[Path, bytes]],
+    *,
+    now: datetime,
+    older: bool = False,
+) -> list[ImportedReceipt]:
+    """As `import_receipts`, with the content of each file; the paths are for messages."""
+    found, problems = _read(files)
     with keystore.hold():
         with keystore.open_ledger() as ledger:
             records = _Records.of(keystore, ledger)
@@ -136,14 +147,20 @@ class _Records:
             yield Problem(words, Code.OLDER)
 
 
-def _read(paths: Iterable[Path]) -> tuple[list[tuple[Path, SignedReceipt]], list[Problem]]:
+def _file(path: Path) -> tuple[Path, bytes]:
+    with located(path):
+        return path, read(path, limit=MAX_ARCHIVE)
+
+
+def _read(
+    files: Iterable[tuple[Path, bytes]],
+) -> tuple[list[tuple[Path, SignedReceipt]], list[Problem]]:
     """The receipts in the files, oldest first, and what is wrong with their signatures."""
     found: list[tuple[Path, SignedReceipt]] = []
     problems: list[Problem] = []
-    for path in paths:
+    for path, data in files:
         try:
             with located(path):
-                data = read(path, limit=MAX_ARCHIVE)
                 found += [(path, each) for each in read_receipts(data)]
         except VerificationError as error:
             problems += [each.of(str(path)) for each in error.problems]

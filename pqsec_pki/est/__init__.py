@@ -13,7 +13,25 @@ if TYPE_CHECKING:
     from pqsec_pki.est.client import EstClient, ServerAnswer
     from pqsec_pki.est.extra import needs_extra
     from pqsec_pki.est.known_server import KnownServer
+    from pqsec_pki.est.messages import certs_only, from_base64, request_attributes, to_base64
     from pqsec_pki.est.obtaining import KeyTerms, WaitingError
+    from pqsec_pki.est.paths import (
+        BUNDLE,
+        BUNDLE_TYPE,
+        CSRATTRS,
+        EST,
+        HEAD,
+        PEM_FILE,
+        PKCS7,
+        PKCS10,
+        PKIX_CRL,
+        PROBLEM,
+        RECEIPT_TYPE,
+        RECEIPTS,
+        REQUESTS,
+        REVOCATION_LIST,
+        TEXT,
+    )
     from pqsec_pki.est.robot import Obtained, deliver_receipt, enrol, renew
     from pqsec_pki.est.tls import (
         GROUP,
@@ -36,8 +54,23 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BUNDLE",
+    "BUNDLE_TYPE",
+    "CSRATTRS",
+    "EST",
     "GROUP",
+    "HEAD",
     "MAX_TOKEN_FILE",
+    "PEM_FILE",
+    "PKCS7",
+    "PKCS10",
+    "PKIX_CRL",
+    "PROBLEM",
+    "RECEIPTS",
+    "RECEIPT_TYPE",
+    "REQUESTS",
+    "REVOCATION_LIST",
+    "TEXT",
     "EnrolmentToken",
     "EstClient",
     "KeyTerms",
@@ -47,16 +80,20 @@ __all__ = [
     "ServerTrust",
     "TlsIdentity",
     "WaitingError",
+    "certs_only",
     "checked_url",
     "client_context",
     "deliver_receipt",
     "enrol",
+    "from_base64",
     "is_secret",
     "needs_extra",
     "peer_certificate",
     "refuse_classical",
     "renew",
+    "request_attributes",
     "server_context",
     "server_pin",
     "spki_pin",
+    "to_base64",
 ]

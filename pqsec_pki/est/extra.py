@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 from pqsec_pki.errors import PqsecError
 
-LIBRARIES = frozenset({"OpenSSL"})
+LIBRARIES = frozenset({"OpenSSL", "twisted", "zope"})
 """The modules that the extras bring."""
 
 

@@ -18,7 +18,10 @@ from tests.cli.conftest import copy, snapshot
 from tests.longer import some
 from tests.unit.approving import Council
 
-ENDLESS = {"agent run": "it serves until it is told to stop"}
+ENDLESS = {
+    "agent run": "it serves until it is told to stop",
+    "serve": "likewise",
+}
 VALUES = {
     "plan": "plan.json",
     "names": "/talker",

@@ -102,6 +102,7 @@ def made(run_in, tmp_path_factory) -> Path:
     forged = (folder / "permissions.p7s").read_bytes().replace(b"rt/chatter", b"rt/secrets")
     (folder / "forged.p7s").write_bytes(forged)
     run("plan --init domain.yaml")
+    run("serve --config serve.yaml --init https://127.0.0.1:8443")
     run("-k decided apply decided.yaml --yes --no-passphrase")
     run("-k decided plan domain.yaml -o plan.json --key alice.pem")
     SROS2(folder / "sros2-keystore").enclave("/talker")
@@ -194,10 +195,12 @@ ELSEWHERE = {
     "agent run": "does not end: tests/cli/test_plugin.py",
     "agent status": "needs an agent: tests/cli/test_plugin.py",
     "enrol": "needs a server: tests/cli/test_network.py",
+    "enrolment-token revoke": "needs the id of a token: tests/unit/test_serve.py",
     "plugin install": "needs a compiler: tests/cli/test_plugin.py",
     "plugin status": "is of the user's home: tests/cli/test_plugin.py",
     "plugin uninstall": "is of the user's home: tests/cli/test_plugin.py",
     "pqsec renew --from https://enrol.example:8443 --dir /etc/dds": "likewise",
+    "serve": "does not end: tests/unit/test_serve.py",
     "try": "needs a stack: tests/interop/test_try.py",
     "verify-handshake": "minutes, with the matrix: tests/cli/test_handshake_modes.py",
 }
@@ -283,6 +286,9 @@ NO = {
     "check": "bad.xml",
     "diff": "robots/enclaves/talker/permissions.xml permissions.yaml",
     "domain import": "bad.yaml",
+    "enrolment-token create": "/a --config bad.yaml -o a.token",
+    "enrolment-token list": "--config bad.yaml",
+    "enrolment-token revoke": "0 --config bad.yaml",
     "explain": "--participant /talker --publish rt/secret",
     "explain-error": "all is well",
     "export": "fastdds /talker --stack-version 3.1.2",
@@ -306,6 +312,7 @@ NO = {
     "report": "-o signed.html --signer robots/enclaves/talker/cert.pem"
     " robots/enclaves/talker/key.pem",
     "rollback": "",
+    "serve": "--config bad.yaml",
     "sign-governance": "bad.xml",
     "sign-permissions": "bad.xml",
     "sign-request export": "forged.csr -o out",

@@ -25,7 +25,8 @@ _PLACEHOLDERS = """In any text of a role, `$word` is filled for each participant
 The value of a column is not a pattern: `*`, `?`, `[` and `\\` are allowed only in roles and
 `values`."""
 _ABOUT = """The keys of governance and permissions ([Policies in YAML](../how-to/policies.md)) and
-of `domain.yaml` ([One file for a whole domain](../how-to/domain.md)). `pqsec governance schema`,
+of `domain.yaml` ([One file for a whole domain](../how-to/domain.md)), and of `serve.yaml`
+([Enrolment over a network](../how-to/network.md)). `pqsec governance schema`,
 `pqsec permissions schema` and `pqsec domain schema` print the schemas, for editors."""
 
 
@@ -51,6 +52,9 @@ def parts() -> Iterator[str]:
     item = _keys(domain, domain["$defs"]["participants"])
     yield from ("### An item of participants", table(_HEADS, item))
     yield from ("### Placeholders", _PLACEHOLDERS)
+    serve = _schema("serve")
+    yield from ("## The server's configuration", table(_HEADS, _keys(serve, serve)))
+    yield from ("### Limits", table(_HEADS, _keys(serve, serve["$defs"]["limits"])))
 
 
 _HEADS = ("Key", "Meaning", "Values")

@@ -101,6 +101,7 @@ MAY_IMPORT["benchmark"] = {
 }
 MAY_IMPORT["estimation"] = {"handshake", "keystore", "credentials", "algorithms"}
 MAY_IMPORT["est"] = MAY_IMPORT["enrolment"] | {"enrolment"}
+MAY_IMPORT["server"] = MAY_IMPORT["est"] | {"est", "domain"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.
@@ -111,7 +112,8 @@ ONLY_IN = {
     "cyclonedx": {"cbom"},
     "lxml": {"documents"},
     "matplotlib": {"benchmark"},
-    "OpenSSL": {"est"},
+    "OpenSSL": {"est", "server"},
+    "twisted": {"server"},
     "pkcs11": {"tokens"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"vendors", "report"},

@@ -1,0 +1,177 @@
+"""pqsec enrolment-token: the secrets with which robots enrol over a network."""
+
+from datetime import timedelta
+from pathlib import Path
+
+import click
+
+from pqsec_pki._files import read, refuse_existing, write
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.enrolment import pins_in_use
+from pqsec_pki.errors import located
+from pqsec_pki.est import EnrolmentToken, needs_extra
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.server import (
+    ServerSettings,
+    TokenState,
+    read_settings,
+    record_token,
+    revoke_tokens,
+    token_states,
+)
+
+_config = click.option(
+    "--config",
+    "file",
+    required=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="The server's configuration: serve.yaml.",
+)
+
+
+@_help.group("enrolment-token")
+@_settings.command_options
+def enrolment_token() -> None:
+    """Create, list and revoke tokens, with which robots enrol over a network."""
+
+
+@enrolment_token.command(
+    "create",
+    examples={
+        "Create a token for one robot": (
+            "pqsec enrolment-token create /fleet/robot1 --config serve.yaml -o robot1.token"
+        ),
+        "Create one with which 20 robots enrol": (
+            "pqsec enrolment-token create '/fleet/*' --uses 20 --config serve.yaml -o fleet.token"
+        ),
+    },
+    exit_codes={
+        0: "the token is in the file, and its hash in the ledger",
+        1: "the configuration is not valid",
+        3: "the file exists, or the keystore cannot be changed",
+    },
+)
+@click.argument("name", metavar="NAME")
+@click.option(
+    "-o",
+    "--output",
+    "goal",
+    required=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="Write the token to this file, for its owner only.",
+)
+@click.option(
+    "--uses",
+    type=click.IntRange(1, 100_000),
+    default=1,
+    show_default=True,
+    help="How many requests it admits.",
+)
+@click.option(
+    "--validity",
+    type=_settings.Duration(),
+    help="How long it may be used, as 12h or 7d.  [default: token_validity of FILE, or 7d]",
+)
+@click.option(
+    "--replace",
+    "replaces",
+    is_flag=True,
+    help="Let it replace the certificate of a robot that has one for another key.",
+)
+@_config
+@_settings.command_options
+def create(  # noqa: PLR0913 -- one for each option, by name
+    name: str, goal: Path, file: Path, uses: int, validity: timedelta | None, *, replaces: bool
+) -> None:
+    """Create a token, with which a robot enrols.
+
+    NAME is a participant of the domain file, or a pattern such as '/fleet/*'. The token is a
+    secret: who has it can enrol as NAME until it is used up, ends or is revoked. It also has
+    what the robot needs to trust the server and the CAs.
+    """
+    settings, now = read_settings(file), _settings.now()
+    refuse_existing(goal)
+    keystore = Keystore.open(settings.keystore, to_change=True)
+    token = EnrolmentToken.new(
+        server=settings.url,
+        server_pins=_server_pins(settings),
+        cas=pins_in_use(keystore),
+        names=name,
+        profile=keystore.profile.name,
+        not_after=now + (validity or settings.token_validity),
+    )
+    # The ledger first: a token that is only in the file would admit nobody.
+    record_token(keystore, token, uses=uses, replaces=replaces, now=now)
+    write(goal, token.to_bytes(), private=True)
+    line = f"{token.id}  {name}  until {token.not_after:%Y-%m-%d %H:%M} UTC  {goal}"
+    value = {"id": token.id, "names": name, "uses": uses, "file": goal}
+    _printing.emit({**value, "not_after": token.not_after}, [line])
+
+
+@enrolment_token.command(
+    "list",
+    examples={"List the tokens": "pqsec enrolment-token list --config serve.yaml"},
+    exit_codes={
+        0: "the tokens are listed",
+        1: "the configuration is not valid",
+        3: "the keystore cannot be read",
+    },
+)
+@_config
+@_settings.command_options
+def list_(file: Path) -> None:
+    """List all tokens that were created: for whom, how often used, and whether they end."""
+    _print(token_states(Keystore.open(read_settings(file).keystore)))
+
+
+@enrolment_token.command(
+    "revoke",
+    examples={
+        "Revoke a token that was lost": (
+            "pqsec enrolment-token revoke 0123456789abcdef --config serve.yaml"
+        ),
+    },
+    exit_codes={
+        0: "the tokens admit nobody any more",
+        1: "the configuration is not valid",
+        3: "there is no such token, or the keystore cannot be changed",
+    },
+)
+@click.argument("ids", nargs=-1, required=True, metavar="ID...")
+@_config
+@_settings.command_options
+def revoke(ids: tuple[str, ...], file: Path) -> None:
+    """Revoke tokens. What robots got with them before stays; `pqsec revoke` revokes that."""
+    keystore = Keystore.open(read_settings(file).keystore, to_change=True)
+    _print(revoke_tokens(keystore, ids, now=_settings.now()))
+
+
+def _server_pins(settings: ServerSettings) -> frozenset[str]:
+    with needs_extra("serve"):
+        from pqsec_pki.est import spki_pin  # noqa: PLC0415 -- a library of an extra
+
+        found = set()
+        for each in settings.tls:
+            with located(each.chain):
+                found.add(spki_pin(Certificate.from_pem(read(each.chain))))
+        return frozenset(found)
+
+
+def _print(tokens: list[TokenState]) -> None:
+    now = _settings.now()
+    rows = [
+        (
+            each.id,
+            each.names,
+            f"{each.used} of {each.uses}",
+            f"{each.not_after:%Y-%m-%d %H:%M}",
+            each.end(now) or "open",
+        )
+        for each in tokens
+    ]
+    lines = _printing.table(("ID", "NAMES", "USED", "UNTIL (UTC)", "STATE"), rows) if rows else []
+    value = {"tokens": [each.to_json(now) for each in tokens]}
+    _printing.emit(value, lines or ["no tokens: `pqsec enrolment-token create` makes one"])

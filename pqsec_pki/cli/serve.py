@@ -1,0 +1,76 @@
+"""pqsec serve: let robots enrol and renew over a network."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.est import needs_extra
+from pqsec_pki.server import begin_server, read_settings
+
+
+@_help.command(
+    examples={
+        "Write a configuration, and keys for TLS": (
+            "pqsec serve --config serve.yaml --init https://enrol.example:8443"
+        ),
+        "Run the server": "pqsec serve --config serve.yaml",
+        "Run its signer, which has the CA keys, as a service of its own": (
+            "pqsec serve --config serve.yaml --part signer"
+        ),
+    },
+    exit_codes={
+        0: "stopped by SIGTERM or Ctrl-C; or with --init the files are written",
+        1: "FILE or the domain file is not valid",
+        3: "a file cannot be read, an address is in use, or a process ended by itself",
+    },
+)
+@click.option(
+    "--config",
+    "file",
+    required=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="The configuration: serve.yaml.",
+)
+@click.option(
+    "--init",
+    "url",
+    metavar="URL",
+    help="Write FILE for a server at this URL, with TLS keys and certificates beside it.",
+)
+@click.option(
+    "--part",
+    type=click.Choice(["both", "front", "signer"]),
+    default="both",
+    show_default=True,
+    help="Run one of the two processes: the front faces the network, the signer has the CA keys.",
+)
+@_passphrases.option
+@_settings.command_options
+def serve(file: Path, url: str | None, part: str, passphrase_file: Path | None) -> None:
+    """Let robots enrol and renew over a network.
+
+    It answers EST (RFC 7030) and requests of `pqsec enrol` with certificates and whole bundles,
+    over TLS 1.3 with X25519MLKEM768. Names and rights come from the domain file alone. It runs
+    until SIGTERM; SIGHUP makes it read FILE and the domain file again.
+    """
+    if url is not None:
+        made = begin_server(url, file, _settings.keystore_path(), now=_settings.now())
+        _printing.emit({"files": made}, map(str, made))
+        return
+    with needs_extra("serve"):
+        from pqsec_pki.server import run_both, run_front, run_signer  # noqa: PLC0415 -- of an extra
+
+        settings = read_settings(file)
+        if part == "front":
+            run_front(settings)
+            return
+        run = run_both if part == "both" else run_signer
+        secret = passphrase_file or settings.passphrase_file
+        run(
+            settings,
+            lambda keystore: _passphrases.unlock(keystore, secret),
+            _settings.now,
+            _printing.note,
+        )

@@ -1,0 +1,65 @@
+"""Bodies of EST messages: base64, certs-only PKCS#7, and the attributes of a request."""
+
+import base64
+import binascii
+from collections.abc import Iterable
+
+from cryptography import x509
+from cryptography.hazmat.primitives.serialization import Encoding, pkcs7
+
+from pqsec_pki._asn1 import (
+    TLV,
+    AlgorithmIdentifier,
+    Attribute,
+    SetOf,
+    SubjectPublicKeyInfo,
+    decode,
+    encode,
+    sequence_of,
+)
+from pqsec_pki.algorithms import SignatureAlgorithm
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import MalformedError
+
+LINE = 64
+
+
+def to_base64(data: bytes) -> bytes:
+    """A body in base64 with lines of 64 characters (RFC 8951 3.1, RFC 4648 4)."""
+    text = base64.b64encode(data)
+    lines = (text[at : at + LINE] for at in range(0, len(text), LINE))
+    return b"".join(line + b"\r\n" for line in lines)
+
+
+def from_base64(body: bytes) -> bytes:
+    """The content of a body in base64, with or without line breaks (RFC 8951 3.1).
+
+    MalformedError for other characters.
+    """
+    try:
+        return base64.b64decode(b"".join(body.split()), validate=True)
+    except binascii.Error:
+        raise MalformedError("the body is not base64") from None
+
+
+def certs_only(certificates: Iterable[Certificate]) -> bytes:
+    """A PKCS#7 SignedData with these certificates and no signature (RFC 7030 4.1.3), in DER."""
+    found = [x509.load_der_x509_certificate(each.der) for each in certificates]
+    return pkcs7.serialize_certificates(found, Encoding.DER)
+
+
+def request_attributes(algorithm: SignatureAlgorithm) -> bytes:
+    """What a request needs, as CsrAttrs in DER (RFC 7030 4.5.2, RFC 9908 3.3).
+
+    The type of its key, with the curve if there is one, and the algorithm of its signature.
+    """
+    spki = algorithm.generate().public_key.spki
+    kind = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo").algorithm
+    signature = decode(AlgorithmIdentifier, algorithm.identifier, "AlgorithmIdentifier").algorithm
+    found = [signature]
+    if not isinstance(kind.parameters, TLV):
+        parts = [encode(each) for each in dict.fromkeys((kind.algorithm, *found))]
+    else:
+        curve = Attribute(type=kind.algorithm, values=SetOf([kind.parameters]))
+        parts = [encode(curve), *map(encode, found)]
+    return sequence_of(parts)

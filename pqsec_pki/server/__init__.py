@@ -1,0 +1,39 @@
+"""The server: robots enrol and renew over a network (EST, RFC 7030, and requests for bundles).
+
+Two processes, which `running.py` starts by `serve.yaml` (`configuration.py`; `beginning.py` writes
+a first one). The front answers HTTP: `listening.py`, `channel.py`, `front.py`, `routes.py`,
+`limiting.py`, `asking.py` and `metrics.py`. The signer (`signer.py`) has the CA keys: it decides
+who is admitted (`admission.py`, `token_lines.py`) and answers from the keystore (`desk.py`).
+Between them are calls (`call.py`).
+"""
+
+from typing import TYPE_CHECKING
+
+from pqsec_pki._lazy import lazy_exports
+
+if TYPE_CHECKING:
+    from pqsec_pki.server.beginning import begin_server
+    from pqsec_pki.server.configuration import ServerSettings, read_settings
+    from pqsec_pki.server.listening import run_front
+    from pqsec_pki.server.running import run_both, run_signer
+    from pqsec_pki.server.token_lines import (
+        TokenState,
+        record_token,
+        revoke_tokens,
+        token_states,
+    )
+else:
+    __getattr__ = lazy_exports(__name__, __file__)
+
+__all__ = [
+    "ServerSettings",
+    "TokenState",
+    "begin_server",
+    "read_settings",
+    "record_token",
+    "revoke_tokens",
+    "run_both",
+    "run_front",
+    "run_signer",
+    "token_states",
+]

@@ -1,0 +1,257 @@
+"""Who may have a certificate: decided by the ledger and the domain file, before a CA key is used.
+
+A client shows a token, or a certificate whose key it has. Its name and its rights come from the
+domain file: a request only says which participant asks, and for which keys.
+"""
+
+from collections import Counter
+from dataclasses import field, replace
+from datetime import datetime
+
+from cryptography.x509.oid import NameOID
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.certificates import Certificate, CertificateRequest
+from pqsec_pki.domain import Desired, Member
+from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.keystore import (
+    Entry,
+    Keystore,
+    Ledger,
+    ParticipantState,
+    key_hashes,
+    participant_states,
+)
+from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
+from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.token_lines import (
+    ADMISSION,
+    TokenState,
+    admission_entry,
+    by_token,
+    presented,
+)
+
+_NO_CREDENTIAL = "show an enrolment token, or a client certificate"
+_NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
+
+
+class NotAdmittedError(PqsecError):
+    """The request is refused, with this status of HTTP."""
+
+    def __init__(self, status: int, words: str) -> None:
+        super().__init__(words)
+        self.status = status
+
+
+@dataclass(frozen=True, slots=True)
+class Admitted:
+    """A request that may be answered."""
+
+    name: str
+    by: str
+    """The name of its admission in the ledger."""
+    spec: ParticipantSpec | None = None
+    """What is to be issued; None if that was done before."""
+    line: Entry | None = None
+    """The line that the ledger gets with it."""
+    replaces: bool = False
+    """Whether the participant exists."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requester:
+    """Who asks: the holder of a token or of a participant's certificate, or nobody known."""
+
+    name: str
+    """Of the participant; empty for a token."""
+    by: str
+    token: TokenState | None = None
+    certificate: Certificate | None = None
+
+    def refuse_other_name(self, name: str) -> None:
+        """NotAdmittedError if it may not ask for `name`."""
+        if self.token is not None and not self.token.admits(name):
+            raise NotAdmittedError(403, f"the enrolment token is not for {name}")
+        if self.certificate is not None and self.name != name:
+            raise NotAdmittedError(403, f"the client certificate is not for {name}")
+
+    def refuse_used(self, now: datetime) -> None:
+        """NotAdmittedError if its token admits nobody any more."""
+        if self.token is not None and (why := self.token.end(now)):
+            raise NotAdmittedError(401, f"the enrolment token is {why}")
+
+
+@dataclass(frozen=True, slots=True)
+class Admission:
+    """Decides about requests, with the ledger as it is now."""
+
+    keystore: Keystore
+    ledger: Ledger
+    desired: Desired
+    now: datetime
+    any_time: bool
+    """Whether certificates are renewed that are not due."""
+    taken: Counter[str] = field(default_factory=Counter)
+    """What was admitted since the ledger was read: names, and the tokens that admitted them."""
+
+    def of(self, call: SignerCall) -> Admitted:
+        """The request that may be answered; NotAdmittedError if it may not."""
+        holder = self._holder(call)
+        request = _request_in(call.body)
+        name = name_asked_for(request)
+        if holder.by == "":
+            raise NotAdmittedError(401, _NO_CREDENTIAL)
+        if name is None:
+            raise NotAdmittedError(403, f"the request is refused: {NAMELESS}")
+        holder.refuse_other_name(name)
+        member = self._member(name, call.label)
+        if self._was_answered(name, request, holder.by):
+            return Admitted(name, holder.by)
+        held = self._held(name)
+        keys = _keys(request, name, self.keystore.profile)
+        hashes = key_hashes(keys.key, keys.alternative)
+        holder.refuse_used(self.now)
+        self._refuse_state(held, holder, hashes)
+        self._take(name, holder)
+        line = admission_entry(holder.by, name, request, self.now)
+        spec = replace(member.spec(), keys=keys)
+        return Admitted(name, holder.by, spec, line, replaces=held is not None)
+
+    def _take(self, name: str, holder: Requester) -> None:
+        """NotAdmittedError if the name, or the last use of the token, was just given to another."""
+        token = holder.token
+        last = token is not None and token.used + self.taken[holder.by] >= token.uses
+        if last or self.taken[name]:
+            raise NotAdmittedError(503, "another request for the same is being answered")
+        self.taken.update((name, holder.by))
+
+    def holder_of(self, call: SignerCall) -> Requester:
+        """The participant whose certificate the client showed.
+
+        NotAdmittedError if it showed none, or one that is not valid.
+        """
+        if not call.certificate:
+            raise NotAdmittedError(401, "show the participant's certificate as client certificate")
+        return self._of_certificate(Certificate.from_der(call.certificate))
+
+    def _holder(self, call: SignerCall) -> Requester:
+        if call.token and call.kind is not CallKind.REENROL:
+            return self._of_token(call)
+        if call.certificate:
+            return self._of_certificate(Certificate.from_der(call.certificate))
+        if call.kind is CallKind.REENROL:
+            raise NotAdmittedError(401, "show the current certificate as client certificate")
+        return Requester("", "")
+
+    def _of_token(self, call: SignerCall) -> Requester:
+        found = presented(self.ledger, call.token, call.secret)
+        if found is None:
+            raise NotAdmittedError(401, "this enrolment token is not known here")
+        if found.revoked:
+            raise NotAdmittedError(401, "the enrolment token was revoked")
+        return Requester("", by_token(found.id), token=found)
+
+    def _of_certificate(self, certificate: Certificate) -> Requester:
+        """The participant, by the ledger: it knows each certificate that was issued."""
+        name = _common_name(certificate)
+        lines = self.ledger.of_name("participant", name)
+        if not any(each.sha256 == certificate.fingerprint for each in lines):
+            raise NotAdmittedError(403, "the client certificate was not issued here")
+        revoked = self.ledger.of_name("revocation", name)
+        if any(each.sha256 == certificate.fingerprint for each in revoked):
+            raise NotAdmittedError(403, "the client certificate was revoked")
+        if not certificate.not_before <= self.now <= certificate.not_after:
+            raise NotAdmittedError(403, f"its certificate expired: {_NEW_TOKEN}")
+        return Requester(
+            name, f"certificate {certificate.serial_number:x}", certificate=certificate
+        )
+
+    def _member(self, name: str, label: str) -> Member:
+        """The participant; NotAdmittedError if nobody may ask for it over the network."""
+        if label and label not in self.desired.groups:
+            raise NotAdmittedError(404, "there is no such label: it is a group of the domain file")
+        member = self.desired.members.get(name)
+        if member is None:
+            raise NotAdmittedError(403, f"{name} is not in the domain file")
+        if label and name not in self.desired.groups[label]:
+            raise NotAdmittedError(403, f"{name} is not in the group {label}")
+        if member.request is None:
+            raise NotAdmittedError(
+                403,
+                f"the keys of {name} are made by the CA: its entry in the domain file has no"
+                " `request`",
+            )
+        return member
+
+    def _was_answered(self, name: str, request: CertificateRequest, by: str) -> bool:
+        """Whether the newest certificate answers this request, and was admitted by the same."""
+        lines = self.ledger.of_name("participant", name)
+        answered = [each.details.get("request") == request.fingerprint for each in lines]
+        if not any(answered):
+            return False
+        if not answered[-1]:
+            raise NotAdmittedError(409, "this request was answered, and another since")
+        return by in self._admitted_by(name, request)
+
+    def _admitted_by(self, name: str, request: CertificateRequest) -> set[str]:
+        """What admitted the request; for a renewal, also the certificate that it led to."""
+        found = {
+            each.name
+            for each in self.ledger.of_kind(ADMISSION)
+            if each.sha256 == request.fingerprint
+        }
+        newest = self.ledger.of_name("participant", name)[-1]
+        return found | {f"certificate {newest.serial}"}
+
+    def _held(self, name: str) -> ParticipantState | None:
+        due = self.desired.renew_before
+        states = participant_states(self.keystore, self.ledger, [name], now=self.now, due=due)
+        return next(iter(states), None)
+
+    def _refuse_state(self, held: ParticipantState | None, holder: Requester, keys: str) -> None:
+        """NotAdmittedError if this participant may not have a new certificate now."""
+        if held is None:
+            return
+        if held.revoked:
+            raise NotAdmittedError(403, f"{held.name} was revoked")
+        if holder.token is not None:
+            if not holder.token.replaces and held.keys != keys:
+                raise NotAdmittedError(
+                    409,
+                    f"{held.name} has a certificate for another key: the token must be made"
+                    " with --replace",
+                )
+            return
+        if holder.certificate is None or held.sha256 != holder.certificate.fingerprint:
+            raise NotAdmittedError(403, f"this is not the current certificate of {held.name}")
+        if not (self.any_time or held.state.calls_for_renewal):
+            raise NotAdmittedError(
+                403, f"its certificate is not due: it ends {held.not_after:%Y-%m-%d}"
+            )
+
+
+def _request_in(der: bytes) -> CertificateRequest:
+    """NotAdmittedError if it is not a request."""
+    try:
+        return CertificateRequest.from_der(der)
+    except MalformedError as error:
+        raise NotAdmittedError(400, str(error)) from None
+
+
+def _keys(request: CertificateRequest, name: str, profile: Profile) -> PublicKeys:
+    """The keys to be certified; NotAdmittedError without proof of possession of the profile's."""
+    try:
+        return validate_csrs([request], profile, names=[name])[name]
+    except VerificationError as error:
+        raise NotAdmittedError(400, str(error)) from None
+
+
+def _common_name(certificate: Certificate) -> str:
+    """The participant's name that the certificate says; empty if it says none."""
+    match list(certificate.subject):
+        case [part] if part.oid == NameOID.COMMON_NAME and isinstance(part.value, str):
+            return part.value
+    return ""

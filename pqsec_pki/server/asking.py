@@ -1,0 +1,132 @@
+"""Asks the signer from the process that faces the network, without waiting (Twisted)."""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from twisted.internet.interfaces import IDelayedCall
+from twisted.internet.protocol import ClientFactory, Protocol
+
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall, length_of, unpacked
+
+SECONDS = 60.0
+"""Until the answer: the signer may wait half a minute for another command at the keystore."""
+MOST_OPEN = 256
+"""Calls that wait for the signer."""
+MOST_KEPT = 16
+KEPT_SECONDS = 5.0
+"""How long an answer that is the same for everybody is given again."""
+_SHARED = frozenset(
+    {
+        CallKind.CA_CERTIFICATES,
+        CallKind.REQUEST_ATTRIBUTES,
+        CallKind.REVOCATION_LIST,
+        CallKind.HEAD,
+    }
+)
+_BUSY = SignerAnswer(status=503, retry_after=10, detail="the server is busy: ask again")
+_GONE = SignerAnswer(status=503, retry_after=10, detail="the signer does not answer: ask again")
+
+Then = Callable[[SignerAnswer], None]
+
+
+class SignerCalls:
+    """The calls that wait for the signer, and answers that are kept for a moment."""
+
+    def __init__(self, reactor: Any, socket: Path) -> None:
+        self._reactor, self._socket = reactor, str(socket)
+        self.open = 0
+        self._kept: OrderedDict[CallKind, tuple[float, SignerAnswer]] = OrderedDict()
+
+    def ask(self, call: SignerCall, then: Then) -> None:
+        """Call `then` once with the answer; one of status 503 if there is none."""
+        if call.kind in _SHARED and (kept := self._kept.get(call.kind)):
+            at, answer = kept
+            if self._reactor.seconds() - at < KEPT_SECONDS:
+                then(answer)
+                return
+        if self.open >= MOST_OPEN:
+            then(_BUSY)
+            return
+        self.open += 1
+
+        def finish(answer: SignerAnswer) -> None:
+            self.open -= 1
+            if call.kind in _SHARED and answer.status == 200:  # noqa: PLR2004
+                self._kept[call.kind] = (self._reactor.seconds(), answer)
+            then(answer)
+
+        self._reactor.connectUNIX(self._socket, _Factory(self._reactor, call, finish), timeout=5)
+
+
+class _Factory(ClientFactory):
+    """One call."""
+
+    noisy = False
+
+    def __init__(self, reactor: Any, call: SignerCall, then: Then) -> None:
+        self.call, self._then = call, then
+        self._limit: IDelayedCall = reactor.callLater(SECONDS, self.finish, _GONE)
+
+    def finish(self, answer: SignerAnswer) -> None:
+        """Pass the first answer on; later ones are ignored."""
+        then, self._then = self._then, _ignored
+        if self._limit.active():
+            self._limit.cancel()
+        then(answer)
+
+    def buildProtocol(self, addr: Any) -> Protocol:  # noqa: N802 -- Twisted's name
+        """The connection."""
+        del addr
+        made = _Connection()
+        made.factory = self
+        return made
+
+    def clientConnectionFailed(self, connector: Any, reason: Any) -> None:  # noqa: N802
+        """The signer does not listen."""
+        del connector, reason
+        self.finish(_GONE)
+
+
+class _Connection(Protocol):
+    factory: _Factory
+
+    def __init__(self) -> None:
+        self._received = bytearray()
+
+    def connectionMade(self) -> None:  # noqa: N802
+        """Send the call."""
+        self.transport.write(self.factory.call.to_bytes())
+
+    def dataReceived(self, data: bytes) -> None:  # noqa: N802
+        """Collect the answer."""
+        self._received += data
+        size = length_of(bytes(self._received[:8]))
+        if size is not None and len(self._received) >= size:
+            self._finish()
+
+    def connectionLost(self, reason: Any = None) -> None:  # noqa: N802
+        """Without a whole answer there is none."""
+        del reason
+        self.factory.finish(_GONE)
+
+    def _finish(self) -> None:
+        rest = memoryview(bytes(self._received))
+
+        def take(size: int) -> bytes:
+            nonlocal rest
+            found, rest = bytes(rest[:size]), rest[size:]
+            return found
+
+        try:
+            answer = SignerAnswer.of(*unpacked(take))
+        except MalformedError:
+            answer = _GONE
+        self.factory.finish(answer)
+        self.transport.loseConnection()
+
+
+def _ignored(_answer: SignerAnswer) -> None:
+    return

@@ -1,0 +1,212 @@
+"""Connections of clients: TLS, their number, and the time that each may take (Twisted).
+
+The reactor waits for all connections at once, so one that sends nothing takes memory, and no
+thread; it is closed when its time is over, whatever it sends by then.
+"""
+
+from collections.abc import Callable
+from io import BytesIO
+from typing import Any
+
+from OpenSSL import SSL
+from twisted.internet.interfaces import (
+    IAddress,
+    IDelayedCall,
+    IHandshakeListener,
+    IOpenSSLServerConnectionCreator,
+)
+from twisted.internet.protocol import Protocol
+from twisted.protocols.tls import TLSMemoryBIOFactory
+from twisted.web.http import HTTPChannel, HTTPFactory, Request
+from zope.interface import implementer
+
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.est import peer_certificate, refuse_classical
+from pqsec_pki.server.limiting import Connections, key_of
+
+MOST_HEADERS = 64
+"""Lines of the header of a request; all together have at most 16 kB, which is Twisted's limit."""
+
+
+class LimitedRequest(Request):
+    """A request whose body has a known length within the limit, and is not parsed as a form."""
+
+    channel: "LimitedChannel"
+    refused = 0
+    """The status of a request whose header is refused; then its body is not kept."""
+
+    def gotLength(self, length: int | None) -> None:  # noqa: N802 -- Twisted's name
+        """Decide by the header whether the body is read."""
+        self.content = BytesIO()
+        if length is None:
+            self.refused = 411
+        elif length > self.channel.most(self.channel.path):
+            self.refused = 413
+        if self.refused:
+            self.channel.refuse(self.refused)
+
+    def handleContentChunk(self, data: bytes) -> None:  # noqa: N802
+        """Keep the octets, which are at most as many as were announced."""
+        if not self.refused:
+            super().handleContentChunk(data)
+
+    def requestReceived(self, command: bytes, path: bytes, version: bytes) -> None:  # noqa: N802
+        """Answer it. The path is not decoded, and nothing in the body is parsed here."""
+        if self.refused:
+            return
+        self.content.seek(0)
+        self.method, self.uri, self.path, self.clientproto = command, path, path, version
+        self.channel.answer(self)
+
+
+@implementer(IHandshakeListener)
+class LimitedChannel(HTTPChannel):
+    """A connection with a time for each request, from its first octet, or TLS's, to its last."""
+
+    requestFactory = LimitedRequest  # noqa: N815
+    maxHeaders = MOST_HEADERS  # noqa: N815
+    factory: "Channels"
+    _deadline: IDelayedCall | None = None
+
+    @property
+    def path(self) -> bytes:
+        """The path of the request whose header was read last."""
+        return bytes(self._path)
+
+    @property
+    def address(self) -> str:
+        """The client's address."""
+        return str(getattr(self.transport.getPeer(), "host", ""))
+
+    def most(self, path: bytes) -> int:
+        """The greatest length of a body that is sent to that path."""
+        return self.factory.most(path)
+
+    def answer(self, request: LimitedRequest) -> None:
+        """Pass a complete request on."""
+        self.factory.answer(request)
+
+    def peer(self) -> bytes:
+        """The client's certificate, whose key it has shown to have, in DER; empty for none."""
+        handle = getattr(self.transport, "getHandle", None)
+        connection = handle() if handle else None
+        if not isinstance(connection, SSL.Connection):
+            return b""
+        found = peer_certificate(connection)
+        return found.der if found else b""
+
+    def connectionMade(self) -> None:  # noqa: N802
+        """Begin the time of the first request, with the handshake of TLS."""
+        super().connectionMade()
+        self._begin()
+
+    def handshakeCompleted(self) -> None:  # noqa: N802
+        """Close a connection without post-quantum key agreement, unless those are allowed."""
+        if self.factory.classical:
+            return
+        try:
+            refuse_classical(self.transport.getHandle())
+        except PqsecError:
+            self.factory.count("classical")
+            self.transport.abortConnection()
+
+    def refuse(self, status: int) -> None:
+        """Answer a request whose body is not read, and close."""
+        self.factory.count(f"refused-{status}")
+        words = {411: b"Length Required", 413: b"Content Too Large"}[status]
+        head = b"HTTP/1.1 %d %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
+        self.transport.write(head % (status, words))
+        self.loseConnection()
+
+    def allContentReceived(self) -> None:  # noqa: N802
+        """The request came in time."""
+        self._end()
+        super().allContentReceived()
+
+    def requestDone(self, request: Request) -> None:  # noqa: N802
+        """Begin the time of the next one."""
+        self._begin()
+        super().requestDone(request)
+
+    def connectionLost(self, reason: Any) -> None:  # noqa: N802
+        """The connection is closed."""
+        self._end()
+        super().connectionLost(reason)
+
+    def _begin(self) -> None:
+        self._end()
+        self._deadline = self.factory.reactor.callLater(self.factory.seconds, self._late)
+
+    def _end(self) -> None:
+        if self._deadline is not None and self._deadline.active():
+            self._deadline.cancel()
+        self._deadline = None
+
+    def _late(self) -> None:
+        self.factory.count("late")
+        self.transport.abortConnection()
+
+
+class Channels(HTTPFactory):
+    """Makes a channel of each connection."""
+
+    protocol = LimitedChannel
+
+    def __init__(  # noqa: PLR0913 -- by name
+        self,
+        reactor: Any,
+        *,
+        seconds: int,
+        classical: bool,
+        most: Callable[[bytes], int],
+        answer: Callable[[LimitedRequest], None],
+        count: Callable[[str], None],
+    ) -> None:
+        super().__init__(timeout=seconds, reactor=reactor)
+        self.seconds, self.classical = seconds, classical
+        self.most, self.answer, self.count = most, answer, count
+
+    def log(self, request: Request) -> None:
+        """Write nothing: whoever answers writes the log."""
+
+
+class TlsChannels(TLSMemoryBIOFactory):
+    """Channels below TLS, as many as are allowed."""
+
+    def __init__(
+        self,
+        context: Callable[[], SSL.Context],
+        channels: Channels,
+        connections: Connections,
+        reactor: Any,
+    ) -> None:
+        self._connections, self._count = connections, channels.count
+        super().__init__(_Contexts(context), isClient=False, wrappedFactory=channels, clock=reactor)
+
+    def buildProtocol(self, addr: IAddress | None) -> Protocol | None:  # noqa: N802
+        """The connection's protocol; None closes it."""
+        if not self._connections.admit(key_of(str(getattr(addr, "host", "")))):
+            self._count("too-many")
+            return None
+        self._count("connections")
+        made = super().buildProtocol(addr)
+        made.counted = key_of(str(getattr(addr, "host", "")))
+        return made
+
+    def unregisterProtocol(self, p: Any) -> None:  # noqa: N802
+        """One connection less."""
+        super().unregisterProtocol(p)
+        self._connections.closed(p.counted)
+
+
+@implementer(IOpenSSLServerConnectionCreator)
+class _Contexts:
+    """Gives each connection the newest context: a new certificate needs no new start."""
+
+    def __init__(self, context: Callable[[], SSL.Context]) -> None:
+        self._context = context
+
+    def serverConnectionForTLS(self, protocol: Any) -> SSL.Connection:  # noqa: N802
+        """A connection that reads and writes memory."""
+        del protocol
+        return SSL.Connection(self._context(), None)

@@ -1,0 +1,169 @@
+"""The configuration of the server: `serve.yaml`.
+
+    url: https://enrol.example:8443
+    keystore: robots
+    domain: domain.yaml
+    tls: [{chain: server.pem, key: server.key}]
+
+Paths are relative to its folder. Errors name the file and the line.
+"""
+
+import re
+from datetime import timedelta
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import read as read_file
+from pqsec_pki.documents.parts_yaml import (
+    Item,
+    Readers,
+    boolean,
+    build,
+    chosen,
+    duration,
+    each,
+    fields,
+    number,
+    one_or_more,
+    read,
+    refused,
+    text,
+)
+from pqsec_pki.errors import located
+from pqsec_pki.est import checked_url
+
+_ADDRESS = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9a-zA-Z.-]+):([0-9]{1,5})")
+_LAST_PORT = 65535
+
+
+@dataclass(frozen=True, slots=True)
+class TlsFiles:
+    """The certificate of the server with its CAs, and its key."""
+
+    chain: Path
+    key: Path
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServerLimits:
+    """What a client may use before it is known who it is."""
+
+    connections: int = 2000
+    """At once, of all clients."""
+    connections_of_address: int = 50
+    """At once, from one address."""
+    requests_of_address: int = 300
+    """In a minute, from one address."""
+    requests_of_label: int = 6000
+    """In a minute, for one label."""
+    seconds: int = 15
+    """For the TLS handshake and a whole request: from the first octet to the last."""
+    body: int = 64 << 10
+    """Octets of a request; of a receipt 16 times as many."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ServerSettings:
+    """What is in `serve.yaml`."""
+
+    path: Path
+    url: str
+    listen: tuple[tuple[str, int], ...]
+    status: tuple[str, int] | None
+    """Where health and metrics are served, without TLS: an address of this machine."""
+    keystore: Path
+    domain: Path
+    state: Path
+    """The folder of the signer's socket."""
+    tls: tuple[TlsFiles, ...]
+    classical: bool
+    """Whether clients without post-quantum key agreement, and with TLS 1.2, may come."""
+    passphrase_file: Path | None
+    front_user: str
+    """The user of the process that faces the network; empty for the signer's own."""
+    renew_any_time: bool
+    """Whether to renew certificates that are not due."""
+    token_validity: timedelta
+    limits: ServerLimits
+
+    @property
+    def socket(self) -> Path:
+        """Where the signer listens."""
+        return self.state / "signer.sock"
+
+
+def read_settings(path: Path) -> ServerSettings:
+    """Read `serve.yaml`. InvalidDocumentError with all its problems; FileError if unreadable."""
+    with located(path):
+        found = read(read_file(path), partial(_settings, path.parent))
+    return ServerSettings(path=path, **found)
+
+
+def _settings(folder: Path, item: Item) -> dict[str, Any]:
+    file = partial(_path, folder)
+    readers: Readers = {
+        "url": _url,
+        "listen": partial(one_or_more, reader=_address),
+        "status": _address,
+        "keystore": file,
+        "domain": file,
+        "state": file,
+        "tls": partial(each, reader=partial(_tls, folder)),
+        "classical": boolean,
+        "passphrase_file": file,
+        "front_user": text,
+        "renew": partial(chosen, names=("due", "any-time")),
+        "token_validity": duration,
+        "limits": _limits,
+    }
+    found = fields(item, readers, required=("url", "keystore", "domain", "tls"))
+    if not found["tls"]:
+        raise refused(item, "tls: no certificate is named")
+    found["renew_any_time"] = found.pop("renew", "due") == "any-time"
+    return {
+        "listen": (("127.0.0.1", 8443),),
+        "status": None,
+        "state": folder / "state",
+        "classical": False,
+        "passphrase_file": None,
+        "front_user": "",
+        "token_validity": timedelta(days=7),
+        "limits": ServerLimits(),
+        **found,
+    }
+
+
+def _limits(item: Item) -> ServerLimits:
+    names = ServerLimits.__dataclass_fields__
+    return ServerLimits(**fields(item, dict.fromkeys(names, _positive)))
+
+
+def _tls(folder: Path, item: Item) -> TlsFiles:
+    file = partial(_path, folder)
+    found = fields(item, {"chain": file, "key": file}, required=("chain", "key"))
+    return TlsFiles(**found)
+
+
+def _path(folder: Path, item: Item) -> Path:
+    return folder / text(item)
+
+
+def _positive(item: Item) -> int:
+    found = number(item)
+    if not found:
+        raise refused(item, "0 would let nobody in: write a number from 1 on")
+    return found
+
+
+def _url(item: Item) -> str:
+    """The server's URL as robots use it: https, a host, perhaps a port, no path."""
+    return build(item, lambda: checked_url(text(item)))
+
+
+def _address(item: Item) -> tuple[str, int]:
+    found = _ADDRESS.fullmatch(text(item))
+    if not found or not 0 < int(found[2]) <= _LAST_PORT:
+        raise refused(item, "write ADDRESS:PORT, as 127.0.0.1:8443 or [::1]:8443")
+    return found[1].strip("[]"), int(found[2])

@@ -1,0 +1,217 @@
+"""Answers the calls of clients from the keystore: the part of the server that uses CA keys.
+
+Requests that came at the same time are issued in one change of the keystore. An answer is made
+from what the keystore has then, so the answer to a repeated request is the same.
+"""
+
+import hashlib
+from collections.abc import Callable, Mapping, Sequence
+from datetime import datetime
+from functools import cached_property
+from http import HTTPStatus
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import exists, read
+from pqsec_pki.domain import Desired
+from pqsec_pki.enrolment import Bundle, read_receipts, record_receipts
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.est import (
+    BUNDLE_TYPE,
+    CSRATTRS,
+    PKCS7,
+    PKIX_CRL,
+    TEXT,
+    certs_only,
+    request_attributes,
+    to_base64,
+)
+from pqsec_pki.keystore import (
+    Authorities,
+    BundleNumbers,
+    Keystore,
+    Ledger,
+    layout,
+    load_certificate,
+)
+from pqsec_pki.lifecycle import issue
+from pqsec_pki.server.admission import Admission, Admitted, NotAdmittedError, Requester
+from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
+
+_AGAIN = 1
+"""Seconds until a client shall ask again, whose request another one of the same moment delays."""
+
+
+@dataclass(frozen=True)  # no slots, for cached properties
+class Desk:
+    """Answers calls with the keystore, its CAs, and the domain file."""
+
+    keystore: Keystore
+    authorities: Authorities
+    desired: Desired
+    clock: Callable[[], datetime]
+    any_time: bool = False
+
+    def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
+        """The answer to each call; those that issue are one change of the keystore."""
+        issued = iter(self._issued([each for each in calls if each.kind.issues]))
+        return [next(issued) if each.kind.issues else self._answer(each) for each in calls]
+
+    def _answer(self, call: SignerCall) -> SignerAnswer:
+        return _guarded(lambda: self._by_kind[call.kind](call))
+
+    @cached_property
+    def _by_kind(self) -> dict[CallKind, Callable[[SignerCall], SignerAnswer]]:
+        return {
+            CallKind.READY: self._ready,
+            CallKind.CA_CERTIFICATES: self._ca_certificates,
+            CallKind.REQUEST_ATTRIBUTES: self._request_attributes,
+            CallKind.BUNDLE: self._own_bundle,
+            CallKind.REVOCATION_LIST: self._revocation_list,
+            CallKind.HEAD: self._head,
+            CallKind.RECEIPT: self._receipt,
+        }
+
+    # What issues
+
+    def _issued(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
+        if not calls:
+            return []
+        with self.keystore.hold():
+            with self.keystore.open_ledger() as ledger:
+                deciding = self._admission(ledger)
+                decided = [_decided(deciding, each) for each in calls]
+            new = [each for each in decided if isinstance(each, Admitted) and each.spec]
+            failures = self._issue(new)
+            numbers = BundleNumbers.of(self.keystore)
+            return [
+                each
+                if isinstance(each, SignerAnswer)
+                else self._answered(call, each, failures, numbers)
+                for call, each in zip(calls, decided, strict=True)
+            ]
+
+    def _admission(self, ledger: Ledger) -> Admission:
+        return Admission(self.keystore, ledger, self.desired, self.clock(), self.any_time)
+
+    def _issue(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
+        """Issue in one change; if that fails, one by one. Returns the errors by name."""
+        specs = [each.spec for each in new if each.spec]
+        if not specs:
+            return {}
+        force = any(each.replaces for each in new)
+        lines = [each.line for each in new if each.line]
+        try:
+            issue(
+                self.keystore, self.authorities, specs, records=lines, now=self.clock(), force=force
+            )
+        except PqsecError as error:
+            if len(new) == 1:
+                return {new[0].name: error}
+            return {name: each for one in new for name, each in self._issue([one]).items()}
+        return {}
+
+    def _answered(
+        self,
+        call: SignerCall,
+        admitted: Admitted,
+        failures: Mapping[str, PqsecError],
+        numbers: BundleNumbers,
+    ) -> SignerAnswer:
+        if admitted.spec and (error := failures.get(admitted.name)):
+            return _failed(error)
+        note = f"{admitted.name} by {admitted.by}{'' if admitted.spec else ', again'}"
+        if call.kind is CallKind.REQUEST:
+            return _guarded(lambda: self._bundle(admitted.name, numbers, note))
+        return _guarded(lambda: self._certificate(admitted.name, note))
+
+    def _certificate(self, name: str, note: str) -> SignerAnswer:
+        path = self.keystore.root / layout.enclave_folder(name) / layout.CERTIFICATE
+        body = to_base64(certs_only([load_certificate(path)]))
+        return SignerAnswer(status=200, body=body, media_type=PKCS7, note=note)
+
+    def _bundle(self, name: str, numbers: BundleNumbers, note: str = "") -> SignerAnswer:
+        now = self.clock()
+        bundle = Bundle.of(self.keystore, [name], now=now, keys=False, numbers=numbers)
+        etag = f'"{bundle.sha256}"'
+        body = bundle.to_bytes()
+        return SignerAnswer(status=200, body=body, media_type=BUNDLE_TYPE, etag=etag, note=note)
+
+    # What only reads, or records
+
+    def _ready(self, _call: SignerCall) -> SignerAnswer:
+        self.authorities.refuse_outdated(self.keystore.root)
+        return SignerAnswer(status=200, body=b"ready\n", media_type=TEXT)
+
+    def _ca_certificates(self, _call: SignerCall) -> SignerAnswer:
+        body = to_base64(certs_only(self.keystore.anchors.identity_cas))
+        return SignerAnswer(status=200, body=body, media_type=PKCS7)
+
+    def _request_attributes(self, _call: SignerCall) -> SignerAnswer:
+        body = to_base64(request_attributes(self.keystore.profile.participant_key))
+        return SignerAnswer(status=200, body=body, media_type=CSRATTRS)
+
+    def _own_bundle(self, call: SignerCall) -> SignerAnswer:
+        holder = self._holder(call)
+        if not self.keystore.has(holder.name):
+            raise NotAdmittedError(404, f"{holder.name} has no files here")
+        return self._bundle(holder.name, BundleNumbers.of(self.keystore))
+
+    def _revocation_list(self, _call: SignerCall) -> SignerAnswer:
+        return _file(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
+
+    def _head(self, _call: SignerCall) -> SignerAnswer:
+        path = self.keystore.root / layout.PUBLIC / layout.TREE_HEAD
+        return _file(path, TEXT, "there is no signed head of the ledger")
+
+    def _receipt(self, call: SignerCall) -> SignerAnswer:
+        holder = self._holder(call)
+        if holder.name not in {each.receipt.participant for each in read_receipts(call.body)}:
+            raise NotAdmittedError(403, f"the receipt is not of {holder.name}")
+        record_receipts(self.keystore, [(Path("receipt"), call.body)], now=self.clock())
+        return SignerAnswer(status=204, note=f"receipt of {holder.name}")
+
+    def _holder(self, call: SignerCall) -> Requester:
+        with self.keystore.open_ledger() as ledger:
+            return self._admission(ledger).holder_of(call)
+
+
+def _decided(deciding: Admission, call: SignerCall) -> Admitted | SignerAnswer:
+    """The request that may be answered, or the answer to one that may not."""
+    found: list[Admitted] = []
+
+    def decide() -> SignerAnswer:
+        found.append(deciding.of(call))
+        return SignerAnswer(status=200)
+
+    refused = _guarded(decide)
+    return found[0] if found else refused
+
+
+def _guarded(answer: Callable[[], SignerAnswer]) -> SignerAnswer:
+    """The answer; for an error the answer that says so, without anything of this machine."""
+    try:
+        return answer()
+    except NotAdmittedError as error:
+        again = _AGAIN if error.status == HTTPStatus.SERVICE_UNAVAILABLE else 0
+        return SignerAnswer(status=error.status, detail=str(error), retry_after=again)
+    except (MalformedError, VerificationError) as error:
+        return SignerAnswer(status=HTTPStatus.BAD_REQUEST, detail=str(error))
+    except PqsecError as error:
+        return _failed(error)
+
+
+def _failed(error: PqsecError) -> SignerAnswer:
+    """The answer for what a CA refuses, or could not do; only the first is the client's."""
+    if isinstance(error, VerificationError):
+        return SignerAnswer(status=HTTPStatus.FORBIDDEN, detail=str(error))
+    detail = "the server could not do it: its log says why"
+    return SignerAnswer(status=HTTPStatus.INTERNAL_SERVER_ERROR, detail=detail, note=str(error))
+
+
+def _file(path: Path, media_type: str, otherwise: str) -> SignerAnswer:
+    if not exists(path):
+        raise NotAdmittedError(404, otherwise)
+    data = read(path)
+    etag = f'"{hashlib.sha256(data).hexdigest()}"'
+    return SignerAnswer(status=200, body=data, media_type=media_type, etag=etag)

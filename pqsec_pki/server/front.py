@@ -1,0 +1,225 @@
+"""Answers HTTP requests: the part of the server that faces the network, and has no CA key.
+
+Everything that needs no key is refused here: unknown paths, too much, too often, and what is not a
+request. The rest is asked from the signer, which decides.
+"""
+
+import base64
+import binascii
+import json
+import time
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import field
+from datetime import UTC, datetime
+from http import HTTPStatus
+from typing import Any
+
+from twisted.web.http import datetimeToString
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.est import EST, PROBLEM, RECEIPTS, from_base64
+from pqsec_pki.server.asking import SignerCalls
+from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
+from pqsec_pki.server.channel import LimitedRequest
+from pqsec_pki.server.configuration import ServerLimits
+from pqsec_pki.server.limiting import Rate, key_of
+from pqsec_pki.server.routes import Route
+
+_RECEIPT = 16
+"""A receipt may be so many times larger than a request: it has several participants."""
+_LONGEST_SHOWN = 80
+_BASIC = "Authorization must be Basic, once, with the token's id and secret"
+
+
+@dataclass(slots=True)
+class Front:
+    """Answers requests with the signer's answers."""
+
+    calls: SignerCalls
+    limits: ServerLimits
+    log: Callable[[dict[str, object]], None]
+    counts: Counter[str] = field(default_factory=Counter)
+    by_address: Rate = field(init=False)
+    by_label: Rate = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.use(self.limits)
+
+    def use(self, limits: ServerLimits) -> None:
+        """Apply these limits from now on."""
+        self.limits = limits
+        self.by_address = Rate(limits.requests_of_address)
+        self.by_label = Rate(limits.requests_of_label)
+
+    def count(self, what: str) -> None:
+        """Count an event, for the metrics."""
+        self.counts[what] += 1
+
+    def most(self, path: bytes) -> int:
+        """The greatest length of a body that is sent to that path."""
+        return self.limits.body * (_RECEIPT if path == RECEIPTS.encode() else 1)
+
+    def answer(self, request: LimitedRequest) -> None:
+        """Answer the request, now or when the signer has."""
+        exchange = Exchange(self, request, request.channel.address, request.channel.peer())
+        route = Route.of(request.path)
+        refused = self._refused(request, route, exchange.address)
+        if refused or route is None:
+            exchange.finish(refused or SignerAnswer(status=404, detail="there is nothing here"))
+            return
+        try:
+            call = _call(route, request, exchange)
+        except MalformedError as error:
+            exchange.finish(SignerAnswer(status=400, detail=str(error)))
+            return
+        self.calls.ask(call, exchange.finish)
+
+    def _refused(
+        self, request: LimitedRequest, route: Route | None, address: str
+    ) -> SignerAnswer | None:
+        """The answer to what nobody may ask, or nobody so often."""
+        wait = self.by_address.wait(key_of(address))
+        if wait:
+            return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
+        if route is None:
+            return None
+        if request.method.decode("ascii", "replace") not in route.methods:
+            detail = f"only {' and '.join(route.methods)} may be used here"
+            return SignerAnswer(status=405, detail=detail)
+        if route.types and _media_type(request) not in route.types:
+            return SignerAnswer(status=415, detail=f"send {' or '.join(sorted(route.types))}")
+        if wait := self.by_label.wait(route.label):
+            return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
+        return None
+
+
+@dataclass(slots=True)
+class Exchange:
+    """One request, and its answer."""
+
+    front: Front
+    request: LimitedRequest
+    address: str
+    certificate: bytes = field(repr=False)
+    begun: float = field(default_factory=time.monotonic)
+
+    def finish(self, answer: SignerAnswer) -> None:
+        """Write the answer, unless the client has gone."""
+        if answer.etag and answer.status == HTTPStatus.OK and self._has(answer.etag):
+            answer = SignerAnswer(status=304, etag=answer.etag)
+        self.front.count(f"status-{answer.status}")
+        self._log(answer)
+        if self.request._disconnected:  # noqa: SLF001 -- Twisted has no other way to ask
+            return
+        body = _body(answer)
+        self.request.setResponseCode(answer.status)
+        for name, value in self._headers(answer, body):
+            self.request.responseHeaders.setRawHeaders(name, [value])
+        if answer.status not in {204, 304} and self.request.method != b"HEAD":
+            self.request.write(body)
+        self.request.finish()
+
+    def _has(self, etag: str) -> bool:
+        given = self.request.requestHeaders.getRawHeaders("If-None-Match", [])
+        return any(etag == each.strip() for line in given for each in line.split(","))
+
+    def _headers(self, answer: SignerAnswer, body: bytes) -> list[tuple[str, str]]:
+        found = [
+            ("Date", datetimeToString().decode()),
+            ("Cache-Control", "no-store"),
+            ("X-Content-Type-Options", "nosniff"),
+        ]
+        if answer.status not in {204, 304}:
+            found.append(("Content-Length", str(len(body))))
+            found.append(("Content-Type", PROBLEM if answer.detail else answer.media_type))
+        if answer.status == HTTPStatus.OK and self.request.path.startswith(f"{EST}/".encode()):
+            found.append(("Content-Transfer-Encoding", "base64"))  # for clients older than RFC 8951
+        if answer.status == HTTPStatus.UNAUTHORIZED:
+            found.append(("WWW-Authenticate", 'Basic realm="pqsec"'))
+        if answer.status == HTTPStatus.METHOD_NOT_ALLOWED and (
+            route := Route.of(self.request.path)
+        ):
+            found.append(("Allow", ", ".join(route.methods)))
+        if answer.etag:
+            found.append(("ETag", answer.etag))
+        if answer.retry_after:
+            found.append(("Retry-After", str(answer.retry_after)))
+        return found
+
+    def _log(self, answer: SignerAnswer) -> None:
+        """One line: never a secret, a token's text or the content of a request."""
+        self.front.log(
+            {
+                "at": datetime.now(UTC).isoformat(timespec="milliseconds"),
+                "address": self.address,
+                "method": self.request.method[:16].decode("ascii", "replace"),
+                "path": self.request.path[:_LONGEST_SHOWN].decode("ascii", "replace"),
+                "status": answer.status,
+                "detail": answer.detail,
+                "ms": round(1000 * (time.monotonic() - self.begun), 1),
+            }
+        )
+
+
+def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCall:
+    """What to ask the signer; MalformedError for what is not a request, or no credentials."""
+    token, secret = _credentials(request)
+    return SignerCall(
+        kind=route.kind,
+        label=route.label,
+        address=exchange.address,
+        token=token,
+        secret=secret,
+        certificate=exchange.certificate,
+        body=_content(route, request.content.read()),
+    )
+
+
+def _content(route: Route, body: bytes) -> bytes:
+    """The DER of a request, or a receipt; MalformedError if it is not a request."""
+    if not route.kind.issues:
+        return body if route.kind is CallKind.RECEIPT else b""
+    if route.is_est:
+        return CertificateRequest.from_der(from_base64(body)).der
+    if body.lstrip().startswith(b"-----"):
+        match CertificateRequest.all_from_pem(body):
+            case (found,):
+                return found.der
+        raise MalformedError("send one request at a time")
+    return CertificateRequest.from_der(body).der
+
+
+def _credentials(request: LimitedRequest) -> tuple[str, str]:
+    """The token's identifier and secret (RFC 7617); MalformedError for another scheme."""
+    given = request.requestHeaders.getRawHeaders("Authorization", [])
+    if not given:
+        return "", ""
+    scheme, _, value = given[0].partition(" ")
+    if len(given) > 1 or scheme.lower() != "basic":
+        raise MalformedError(_BASIC)
+    try:
+        text = base64.b64decode(value.strip(), validate=True).decode("ascii")
+    except (ValueError, binascii.Error):
+        raise MalformedError(_BASIC) from None
+    token, _, secret = text.partition(":")
+    return token, secret
+
+
+def _media_type(request: LimitedRequest) -> str:
+    given = request.requestHeaders.getRawHeaders("Content-Type", [""])
+    return str(given[0]).partition(";")[0].strip().lower()
+
+
+def _body(answer: SignerAnswer) -> bytes:
+    """What is sent; for an error a problem of RFC 9457."""
+    if not answer.detail:
+        return answer.body
+    try:
+        title = HTTPStatus(answer.status).phrase
+    except ValueError:
+        title = "Error"
+    value: dict[str, Any] = {"title": title, "status": answer.status, "detail": answer.detail}
+    return json.dumps(value).encode() + b"\n"

@@ -1,0 +1,135 @@
+"""The process that faces the network: its sockets, its signals, and its end (Twisted)."""
+
+import json
+import os
+import resource
+import signal
+import sys
+from contextlib import suppress
+from socket import socket
+from typing import Any
+
+from OpenSSL import SSL
+from twisted.internet import reactor as _reactor
+from twisted.logger import globalLogBeginner
+
+from pqsec_pki._files import read
+from pqsec_pki.errors import PqsecError, located
+from pqsec_pki.est import TlsIdentity, server_context
+from pqsec_pki.server.asking import SignerCalls
+from pqsec_pki.server.channel import Channels, TlsChannels
+from pqsec_pki.server.configuration import ServerSettings, read_settings
+from pqsec_pki.server.front import Front
+from pqsec_pki.server.limiting import Connections
+from pqsec_pki.server.metrics import StatusPages
+from pqsec_pki.server.running import bound, given_sockets, notify
+
+reactor: Any = _reactor
+_GRACE = 5.0
+"""Seconds for open answers after SIGTERM."""
+
+
+def tls_context(settings: ServerSettings) -> SSL.Context:
+    """The context of the configured certificates; PqsecError names the file at fault."""
+    identities = []
+    for each in settings.tls:
+        with located(each.chain):
+            identities.append(TlsIdentity.of(read(each.chain), read(each.key)))
+    return server_context(identities, classical=settings.classical)
+
+
+class Listening:
+    """The listening sockets, and what is behind them."""
+
+    def __init__(self, settings: ServerSettings) -> None:
+        self._settings, self._context = settings, tls_context(settings)
+        limits = settings.limits
+        self.front = Front(SignerCalls(reactor, settings.socket), limits, _log)
+        self.connections = Connections(limits.connections, limits.connections_of_address)
+        self._channels = Channels(
+            reactor,
+            seconds=limits.seconds,
+            classical=settings.classical,
+            most=self.front.most,
+            answer=self.front.answer,
+            count=self.front.count,
+        )
+        self._ports: list[Any] = []
+
+    def run(self) -> None:
+        """Answer until SIGTERM."""
+        settings = self._settings
+        _raise_file_limit(settings.limits.connections)
+        globalLogBeginner.beginLoggingTo([_observe], redirectStandardIO=False, discardBuffer=True)
+        tls = TlsChannels(lambda: self._context, self._channels, self.connections, reactor)
+        for each in given_sockets(os.environ) or [bound(each) for each in settings.listen]:
+            self._ports.append(_adopted(each, tls))
+        if settings.status:
+            pages = StatusPages(self.front, self.connections)
+            self._ports.append(_adopted(bound(settings.status), pages))
+        for number, handler in ((signal.SIGTERM, self._stop), (signal.SIGHUP, self._reload)):
+            signal.signal(number, lambda *_, call=handler: reactor.callFromThread(call))
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client may go at any time
+        signal.signal(signal.SIGINT, signal.getsignal(signal.SIGTERM))
+        reactor.callWhenRunning(notify, "READY=1", os.environ)
+        reactor.run(installSignalHandlers=False)
+
+    def _reload(self) -> None:
+        """Read certificates and limits again; open connections stay."""
+        try:
+            found = read_settings(self._settings.path)
+            context = tls_context(found)
+        except PqsecError as error:
+            _log({"event": "the configuration is not changed", "detail": str(error)})
+            return
+        self._context, self._settings = context, found
+        self.front.use(found.limits)
+        self._channels.seconds = found.limits.seconds
+        self._channels.classical = found.classical
+        self.connections.most = found.limits.connections
+        self.connections.most_of_address = found.limits.connections_of_address
+        _log({"event": "the configuration was read again"})
+
+    def _stop(self) -> None:
+        """Accept nothing more, and end when all answers are written."""
+        for each in self._ports:
+            each.stopListening()
+        self._ports = []
+        until = reactor.seconds() + _GRACE
+        self._end(until)
+
+    def _end(self, until: float) -> None:
+        if not self.front.calls.open or reactor.seconds() > until:
+            reactor.callLater(0.1, reactor.stop)
+        else:
+            reactor.callLater(0.05, self._end, until)
+
+
+def run_front(settings: ServerSettings) -> None:
+    """Answer clients until SIGTERM."""
+    Listening(settings).run()
+
+
+def _adopted(given: socket, factory: Any) -> Any:
+    """Listen there with Twisted, which duplicates the socket."""
+    given.settimeout(0)
+    with given:
+        return reactor.adoptStreamPort(given.fileno(), given.family, factory)
+
+
+def _raise_file_limit(connections: int) -> None:
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = min(hard, max(soft, 2 * connections + 256))
+    with suppress(ValueError, OSError):
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+
+
+def _log(line: dict[str, object]) -> None:
+    sys.stderr.write(f"{json.dumps(line)}\n")
+
+
+def _observe(event: Any) -> None:
+    """Errors of Twisted itself, which are mistakes of this program, go into the log."""
+    failure = event.get("log_failure")
+    if failure is not None:
+        _log({"event": "internal error", "detail": failure.getTraceback()[-2000:]})

@@ -1,0 +1,161 @@
+"""Runs the two processes: the front, which faces the network, and the signer, with the CA keys.
+
+The front is started first, as a new program: no key is ever in its memory. If one of the two ends,
+the other ends too.
+"""
+
+import os
+import pwd
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.domain import read_domain
+from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.server.configuration import ServerSettings, read_settings
+from pqsec_pki.server.desk import Desk
+from pqsec_pki.server.signer import SignerProcess, listening, users_of
+
+_FIRST_GIVEN = 3
+"""The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
+_BACKLOG = 1024
+_END = 10
+"""Seconds that the front gets to finish its answers."""
+
+Unlock = Callable[[Keystore], Authorities]
+Log = Callable[[str], None]
+
+
+def run_signer(
+    settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime], log: Log
+) -> None:
+    """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`."""
+    keystore = Keystore.open(settings.keystore, to_change=True)
+    authorities = unlock(keystore)
+
+    def load() -> Desk:
+        found = read_settings(settings.path)
+        return Desk(
+            keystore=Keystore.open(settings.keystore, to_change=True),
+            authorities=authorities,
+            desired=read_domain(found.domain),
+            clock=clock,
+            any_time=found.renew_any_time,
+        )
+
+    make_state(settings)
+    listener = listening(settings.socket, bool(settings.front_user))
+    with listener:
+        SignerProcess(listener, load, load(), users_of(settings.front_user), log).run()
+    with suppress(OSError):
+        settings.socket.unlink()
+
+
+def make_state(settings: ServerSettings) -> None:
+    """Make the state folder: for its owner, or also for the group of `front_user`."""
+    group = pwd.getpwnam(settings.front_user).pw_gid if settings.front_user else -1
+    with disk_errors(settings.state):
+        settings.state.mkdir(mode=0o750 if settings.front_user else 0o700, exist_ok=True)
+        if settings.front_user and os.geteuid() == 0:
+            os.chown(settings.state, -1, group)
+
+
+def run_both(
+    settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime], log: Log
+) -> None:
+    """Run the front as a process of its own, and the signer in this one.
+
+    KeystoreError if the front ends by itself.
+    """
+    front = _started(settings)
+    ended: list[int] = []
+
+    def child_ended(*_: object) -> None:
+        code = front.poll()
+        if code is not None:
+            ended.append(code)
+            os.kill(os.getpid(), signal.SIGTERM)
+
+    signal.signal(signal.SIGCHLD, child_ended)
+    try:
+        run_signer(settings, unlock, clock, log)
+    finally:
+        signal.signal(signal.SIGCHLD, signal.SIG_DFL)
+        _stop(front)
+    if ended:
+        raise KeystoreError(f"the process that faces the network ended with {ended[0]}")
+
+
+def _started(settings: ServerSettings) -> "subprocess.Popen[bytes]":
+    command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(settings.path)]
+    sockets = given_sockets(os.environ)
+    passed = [each.fileno() for each in sockets]
+    user = settings.front_user if os.geteuid() == 0 and settings.front_user else None
+    groups: Sequence[str | int] | None = [] if user else None
+    process = subprocess.Popen(  # noqa: S603 -- this program
+        [*command, "--part", "front"],
+        pass_fds=passed,
+        user=user,
+        group=pwd.getpwnam(user).pw_gid if user else None,
+        extra_groups=groups,
+    )
+    for each in sockets:
+        each.close()
+    return process
+
+
+def _stop(process: "subprocess.Popen[bytes]") -> None:
+    with suppress(ProcessLookupError):
+        process.terminate()
+    try:
+        process.wait(_END)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        process.wait()
+
+
+def given_sockets(environment: Mapping[str, str]) -> list[socket.socket]:
+    """The sockets at which systemd listens for this process, or for its parent; FileError."""
+    if environment.get("LISTEN_PID") not in {str(os.getpid()), str(os.getppid())}:
+        return []
+    count = environment.get("LISTEN_FDS", "")
+    if not count.isdecimal():
+        raise FileError("systemd passed no number of sockets (LISTEN_FDS)")
+    found = []
+    for number in range(_FIRST_GIVEN, _FIRST_GIVEN + int(count)):
+        try:
+            found.append(socket.socket(fileno=os.dup(number)))
+        except OSError as error:
+            raise FileError(f"what systemd passed is not a socket: {error.strerror}") from error
+    return found
+
+
+def bound(address: tuple[str, int]) -> socket.socket:
+    """A socket that listens at that address; FileError if it cannot."""
+    host, port = address
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    listener = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        listener.bind((host, port))
+        listener.listen(_BACKLOG)
+    except OSError as error:
+        listener.close()
+        raise FileError(f"cannot listen at {host}:{port}: {error.strerror}") from error
+    listener.settimeout(0)
+    return listener
+
+
+def notify(state: str, environment: Mapping[str, str]) -> None:
+    """Tell systemd that the service is ready (sd_notify(3))."""
+    path = environment.get("NOTIFY_SOCKET", "")
+    if path.startswith(("/", "@")):
+        with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+            link.connect(path.replace("@", "\0", 1))
+            link.sendall(state.encode())

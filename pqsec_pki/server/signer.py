@@ -1,0 +1,178 @@
+"""The signer: the process that has the CA keys. It listens at a Unix socket, and at no network.
+
+One connection has one call and one answer. It takes all calls that came, answers them together, and
+then takes the next ones: under load many requests are one change of the keystore.
+"""
+
+import os
+import pwd
+import signal
+import socket
+import struct
+import time
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from types import FrameType
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import disk_errors
+from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
+from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
+from pqsec_pki.server.desk import Desk
+
+MOST = 64
+"""Calls that are answered together: the last one waits for all of them."""
+SECONDS = 5.0
+"""For the octets of a call, which the process at the other end has when it connects."""
+_BACKLOG = 1024
+_PEER = struct.Struct("iII")
+_POLL = 0.5
+
+
+@dataclass(slots=True)
+class SignerProcess:
+    """Answers calls until it is stopped."""
+
+    listener: socket.socket
+    load: Callable[[], Desk]
+    """Reads the configuration again; raises if it has a mistake."""
+    desk: Desk
+    users: frozenset[int]
+    """Who may connect."""
+    log: Callable[[str], None]
+    stopping: bool = False
+    reloading: bool = False
+
+    def run(self) -> None:
+        """Answer calls until SIGTERM; SIGHUP reads the configuration again."""
+        signal.signal(signal.SIGTERM, self._stop)
+        signal.signal(signal.SIGINT, self._stop)
+        signal.signal(signal.SIGHUP, self._reload)
+        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
+        self.listener.settimeout(_POLL)
+        while not self.stopping:
+            if self.reloading:
+                self.reloading = False
+                self._load()
+            if links := self._arrived():
+                self._serve(links)
+
+    def _stop(self, _number: int, _frame: FrameType | None) -> None:
+        self.stopping = True
+
+    def _reload(self, _number: int, _frame: FrameType | None) -> None:
+        self.reloading = True
+
+    def _load(self) -> None:
+        """Use the new configuration; the old one stays if that has a mistake."""
+        try:
+            self.desk = self.load()
+            self.log("the configuration was read again")
+        except PqsecError as error:
+            self.log(f"the configuration is not changed: {error}")
+
+    def _arrived(self) -> list[socket.socket]:
+        """The connections that wait, after the first one came."""
+        found: list[socket.socket] = []
+        with suppress(TimeoutError, BlockingIOError):
+            while len(found) < MOST:
+                link, _ = self.listener.accept()
+                found.append(link)
+                self.listener.settimeout(0)
+        self.listener.settimeout(_POLL)
+        return found
+
+    def _serve(self, links: Sequence[socket.socket]) -> None:
+        asked = [(link, call) for link in links if (call := self._call(link))]
+        for (link, _), answer in zip(
+            asked, self._answers([each for _, each in asked]), strict=True
+        ):
+            with suppress(OSError), link:
+                link.settimeout(SECONDS)
+                link.sendall(answer.to_bytes())
+
+    def _answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
+        try:
+            answers = self.desk.answers(calls)
+        except PqsecError as error:
+            detail = "the server could not do it: its log says why"
+            answers = [
+                SignerAnswer(status=503, detail=detail, retry_after=10, note=str(error))
+            ] * len(calls)
+        for call, answer in zip(calls, answers, strict=True):
+            if answer.note:
+                self.log(f"{call.kind} from {call.address}: {answer.status} {answer.note}")
+        return answers
+
+    def _call(self, link: socket.socket) -> SignerCall | None:
+        """What is asked there; None, and the connection is closed, if nobody may ask that."""
+        try:
+            if _user(link) not in self.users:
+                raise MalformedError("another user may not ask the signer")
+            return SignerCall.of(*unpacked(_LinkReader(link, time.monotonic() + SECONDS).take))
+        except (PqsecError, OSError) as error:
+            self.log(f"a call is refused: {error}")
+            link.close()
+            return None
+
+
+@dataclass(slots=True)
+class _LinkReader:
+    link: socket.socket
+    until: float
+
+    def take(self, size: int) -> bytes:
+        """Exactly `size` octets; MalformedError if they do not come in time."""
+        found = bytearray()
+        while len(found) < size:
+            self.link.settimeout(max(0.001, self.until - time.monotonic()))
+            more = self.link.recv(min(size - len(found), 1 << 20))
+            if not more:
+                raise MalformedError("the connection was closed")
+            found += more
+        return bytes(found)
+
+
+def listening(path: Path, group_may: bool = False) -> socket.socket:  # noqa: FBT001, FBT002
+    """A socket at `path`, for its owner, or also for its group; FileError if it cannot be made."""
+    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    before = os.umask(0o117 if group_may else 0o177)
+    try:
+        with disk_errors(path):
+            path.unlink(missing_ok=True)
+            listener.bind(str(path))
+            listener.listen(_BACKLOG)
+    except BaseException:
+        listener.close()
+        raise
+    finally:
+        os.umask(before)
+    return listener
+
+
+def users_of(front_user: str) -> frozenset[int]:
+    """The users who may ask: this process's, and `front_user`; UsageError if there is none."""
+    if not front_user:
+        return frozenset({os.getuid()})
+    try:
+        return frozenset({os.getuid(), pwd.getpwnam(front_user).pw_uid})
+    except KeyError:
+        raise UsageError(f"front_user: the system has no user {front_user}") from None
+
+
+def _user(link: socket.socket) -> int:
+    found = link.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, _PEER.size)
+    return int(_PEER.unpack(found)[1])
+
+
+def ask(path: Path, call: SignerCall) -> SignerAnswer:
+    """The signer's answer, for who may wait; FileError if none listens there."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
+        link.settimeout(SECONDS)
+        try:
+            link.connect(str(path))
+            link.sendall(call.to_bytes())
+            return SignerAnswer.of(*unpacked(_LinkReader(link, time.monotonic() + SECONDS).take))
+        except OSError as error:
+            raise FileError(f"the signer does not answer at {path}: {error}") from error

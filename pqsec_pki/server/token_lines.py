@@ -1,0 +1,168 @@
+"""Enrolment tokens in the ledger: a line when one is made, for each use, and at its end.
+
+The ledger has the SHA-256 of the secret, which is random: nobody finds the secret by trying.
+"""
+
+from collections.abc import Iterable, Iterator
+from datetime import datetime
+from pathlib import PurePosixPath
+from typing import Self
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.errors import KeystoreError, UsageError, shown
+from pqsec_pki.est import EnrolmentToken, is_secret
+from pqsec_pki.keystore import Entry, Keystore, Ledger, change, is_several, regular_name
+
+TOKEN, TOKEN_END, ADMISSION = "enrolment-token", "enrolment-token-end", "admission"
+"""Kinds of lines. An admission has the SHA-256 of the request, and its name says by what."""
+
+
+@dataclass(frozen=True, slots=True)
+class TokenState:
+    """A token, by the ledger."""
+
+    id: str
+    names: str
+    secret_hash: str
+    uses: int
+    """How many requests it admits."""
+    used: int
+    replaces: bool
+    """Whether it admits participants that have a valid certificate for another key."""
+    made_at: datetime
+    not_after: datetime
+    revoked: bool
+
+    @classmethod
+    def of(cls, ledger: Ledger, entry: Entry) -> Self:
+        """KeystoreError for a damaged line."""
+        details = entry.details
+        if not details.get("uses", "").isdecimal():
+            raise KeystoreError(f"the ledger's line on token {shown(entry.name)} is damaged")
+        return cls(
+            id=entry.name,
+            names=details.get("names", ""),
+            secret_hash=entry.sha256,
+            uses=int(details["uses"]),
+            used=len(ledger.of_name(ADMISSION, by_token(entry.name))),
+            replaces=details.get("replaces") == "yes",
+            made_at=entry.made_at,
+            not_after=entry.ends,
+            revoked=bool(ledger.of_name(TOKEN_END, entry.name)),
+        )
+
+    def admits(self, name: str) -> bool:
+        """Whether it is for the participant called `name`."""
+        return any(PurePosixPath(name).match(each) for each in self.names.split())
+
+    def end(self, now: datetime) -> str:
+        """Why it admits nobody any more; empty if it does."""
+        if self.revoked:
+            return "revoked"
+        if now > self.not_after:
+            return "expired"
+        return "used up" if self.used >= self.uses else ""
+
+    def to_json(self, now: datetime) -> dict[str, object]:
+        """The token for --json."""
+        return {
+            "id": self.id,
+            "names": self.names,
+            "uses": self.uses,
+            "used": self.used,
+            "replaces": self.replaces,
+            "made_at": self.made_at,
+            "not_after": self.not_after,
+            "end": self.end(now),
+        }
+
+
+def by_token(token: str) -> str:
+    """The name of an admission by that token."""
+    return f"token {token}"
+
+
+def presented(ledger: Ledger, token: str, secret: str) -> TokenState | None:
+    """The token with that identifier and secret; None if there is none."""
+    lines = ledger.of_name(TOKEN, token)
+    if len(lines) != 1 or not is_secret(secret, lines[0].sha256):
+        return None
+    return TokenState.of(ledger, lines[0])
+
+
+def token_states(keystore: Keystore) -> list[TokenState]:
+    """All tokens, oldest first."""
+    with keystore.open_ledger() as ledger:
+        return [TokenState.of(ledger, each) for each in ledger.of_kind(TOKEN)]
+
+
+def record_token(
+    keystore: Keystore, token: EnrolmentToken, *, uses: int, replaces: bool, now: datetime
+) -> None:
+    """Enter a new token; UsageError for a name that no participant can have, or a past end."""
+    for name in token.names.split():
+        if not (is_several(name) or regular_name(name) == name):
+            raise UsageError(f"'{shown(name)}' is not a participant's name")
+    if replaces and (uses != 1 or is_several(token.names)):
+        raise UsageError(
+            "a token that replaces a participant's certificate is for one name and one use"
+        )
+    if token.not_after <= now:
+        raise UsageError("the token would have ended")
+    details = {"names": token.names, "uses": str(uses)} | ({"replaces": "yes"} if replaces else {})
+    with change(keystore.root) as transaction:
+        transaction.record(
+            Entry(
+                at=now.isoformat(timespec="seconds"),
+                kind=TOKEN,
+                name=token.id,
+                serial=None,
+                sha256=token.secret_hash,
+                not_after=token.not_after.isoformat(),
+                details=details,
+            )
+        )
+
+
+def revoke_tokens(keystore: Keystore, ids: Iterable[str], *, now: datetime) -> list[TokenState]:
+    """End these tokens, all or none; KeystoreError for one that is not in the ledger."""
+    with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
+        found = [_token(ledger, each) for each in dict.fromkeys(ids)]
+        transaction.record(*_ends(found, now))
+        return [TokenState.of(ledger, each) for each in found]
+
+
+def _token(ledger: Ledger, token: str) -> Entry:
+    match ledger.of_name(TOKEN, token):
+        case [entry]:
+            return entry
+    raise KeystoreError(
+        f"the ledger has no enrolment token {shown(token)}",
+        hint="`pqsec enrolment-token list` lists them",
+    )
+
+
+def _ends(found: Iterable[Entry], now: datetime) -> Iterator[Entry]:
+    for each in found:
+        yield Entry(
+            at=now.isoformat(timespec="seconds"),
+            kind=TOKEN_END,
+            name=each.name,
+            serial=None,
+            sha256=each.sha256,
+            not_after=None,
+        )
+
+
+def admission_entry(by: str, name: str, request: CertificateRequest, now: datetime) -> Entry:
+    """The line that says by what the request of the participant `name` was admitted."""
+    return Entry(
+        at=now.isoformat(timespec="seconds"),
+        kind=ADMISSION,
+        name=by,
+        serial=None,
+        sha256=request.fingerprint,
+        not_after=None,
+        details={"participant": name},
+    )

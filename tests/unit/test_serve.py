@@ -1,0 +1,165 @@
+"""The server, as clients meet it: who gets a certificate, and who does not."""
+
+import base64
+from dataclasses import replace
+from datetime import UTC, datetime
+
+import pytest
+from cryptography.hazmat.primitives.serialization import Encoding, pkcs7
+
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.enrolment import Bundle, pins_in_use, verify_bundle
+from tests.unit.serving import Robot, Server
+
+PKCS10 = "application/pkcs10"
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    made = Server(tmp_path_factory.mktemp("serve"), datetime.now(UTC), renew="any-time")
+    with made.running():
+        yield made
+
+
+def enrolled(server, folder, name):
+    """A robot with its first bundle."""
+    robot = Robot(server, folder, name)
+    reply = server.ask(robot.request, token=server.token(name))
+    assert reply.status == 200, reply
+    return robot, Bundle.from_bytes(reply.body)
+
+
+def test_a_token_gives_a_whole_bundle_once(server, tmp_path):
+    robot, token = Robot(server, tmp_path / "a", "/fleet/r1"), server.token("/fleet/r1")
+    reply = server.ask(robot.request, token=token)
+    assert (reply.status, reply.headers["content-type"]) == (200, "application/vnd.pqsec.bundle")
+    bundle = Bundle.from_bytes(reply.body)
+    verify_bundle(bundle, pins_in_use(server.keystore), now=datetime.now(UTC))
+    assert not bundle.has_keys
+    assert reply.headers["etag"] == f'"{bundle.sha256}"'
+    again = server.ask(robot.request, token=token)
+    assert Bundle.from_bytes(again.body).sha256 == bundle.sha256
+    other = server.ask(Robot(server, tmp_path / "b", "/fleet/r1").request, token=token)
+    assert (other.status, other.detail) == (401, "the enrolment token is used up")
+    identity = robot.identity(bundle)
+    got = server.send("GET", "/pqsec/v1/bundle", identity=identity)
+    assert Bundle.from_bytes(got.body).sha256 == bundle.sha256
+    got = server.send(
+        "GET", "/pqsec/v1/bundle", identity=identity, If_None_Match=got.headers["etag"]
+    )
+    assert (got.status, got.body) == (304, b"")
+
+
+def test_est_gives_the_certificate_and_renews_it(server, tmp_path):
+    robot = Robot(server, tmp_path, "/fleet/r2")
+    body = base64.b64encode(robot.request.der)
+    path = "/.well-known/est/fleet"
+    reply = server.post(f"{path}/simpleenroll", body, PKCS10, token=server.token("/fleet/*"))
+    assert reply.headers["content-type"] == "application/pkcs7-mime; smime-type=certs-only"
+    [first] = certificates_in(reply)
+    assert first.subject_name == "CN=/fleet/r2"
+    [authority] = certificates_in(server.send("GET", f"{path}/cacerts"))
+    assert authority.der == server.keystore.identity_ca.der
+    old = robot.identity(server.bundle("/fleet/r2"))
+    body = base64.encodebytes(robot.new().der)
+    renewed = server.post(f"{path}/simplereenroll", body, PKCS10, identity=old)
+    [second] = certificates_in(renewed)
+    assert second.serial_number != first.serial_number
+    again = server.post(f"{path}/simplereenroll", body, PKCS10, identity=old)
+    assert certificates_in(again)[0].der == second.der
+    late = server.post(
+        f"{path}/simplereenroll", base64.b64encode(robot.new().der), PKCS10, identity=old
+    )
+    assert (late.status, late.detail) == (403, "this is not the current certificate of /fleet/r2")
+
+
+def certificates_in(reply):
+    assert reply.status == 200, reply
+    found = pkcs7.load_der_pkcs7_certificates(base64.b64decode(reply.body))
+    return [Certificate.from_pem(each.public_bytes(Encoding.PEM)) for each in found]
+
+
+def test_attributes_say_which_keys(server):
+    reply = server.send("GET", "/.well-known/est/csrattrs")
+    assert (reply.status, reply.headers["content-type"]) == (200, "application/csrattrs")
+    oid = bytes.fromhex("0609608648016503040312")  # id-ml-dsa-65
+    assert oid in base64.b64decode(reply.body)
+
+
+REFUSED = {
+    "without anything": (401, "show an enrolment token, or a client certificate"),
+    "a wrong secret": (401, "this enrolment token is not known here"),
+    "an unknown token": (401, "this enrolment token is not known here"),
+    "a token of another": (403, "the enrolment token is not for /other"),
+    "not in the domain file": (403, "/fleet/r9 is not in the domain file"),
+    "keys of the CA": (403, "the keys of /local are made by the CA"),
+    "a revoked token": (401, "the enrolment token was revoked"),
+    "not a request": (400, "not a DER"),
+    "another's proof": (400, "no proof that the requester has the private key"),
+}
+
+
+@pytest.mark.parametrize("what", REFUSED)
+def test_nobody_else_gets_a_certificate(server, tmp_path, what):
+    names = {
+        "a token of another": "/other",
+        "not in the domain file": "/fleet/r9",
+        "keys of the CA": "/local",
+    }
+    name = names.get(what, "/fleet/r3")
+    token = server.token("/fleet/*" if what == "a token of another" else name)
+    body = Robot(server, tmp_path, name).request.der
+    match what:
+        case "without anything":
+            token = None
+        case "a wrong secret":
+            token = replace(token, secret=server.token(name).secret)
+        case "an unknown token":
+            token = replace(token, id="0" * 16)
+        case "a revoked token":
+            server.cli("enrolment-token", "revoke", token.id, "--config", "serve.yaml")
+        case "not a request":
+            body = body[:-1]
+        case "another's proof":
+            body = body[:-1] + bytes([body[-1] ^ 1])
+    status, detail = REFUSED[what]
+    before = server.keystore.head
+    reply = server.post("/pqsec/v1/requests", body, PKCS10, token=token)
+    assert reply.status == status
+    assert reply.detail.startswith(detail) or detail in reply.detail
+    assert ("www-authenticate" in reply.headers) == (status == 401)
+    assert server.keystore.head == before
+
+
+def test_a_revoked_certificate_gets_nothing(server, tmp_path):
+    robot, bundle = enrolled(server, tmp_path, "/other")
+    identity = robot.identity(bundle)
+    server.cli("revoke", "/other", "--yes")
+    for reply in (
+        server.send("GET", "/pqsec/v1/bundle", identity=identity),
+        server.ask(robot.new(), identity=identity),
+    ):
+        assert (reply.status, reply.detail) == (403, "the client certificate was revoked")
+    reply = server.ask(robot.new(), token=server.token("/other", replaces=True))
+    assert (reply.status, reply.detail) == (403, "/other was revoked")
+
+
+@pytest.mark.parametrize(
+    ("method", "path", "status"),
+    [
+        ("GET", "/", 404),
+        ("GET", "/.well-known/est", 404),
+        ("GET", "/.well-known/est/../est/cacerts", 404),
+        ("GET", "/.well-known/est/%66leet/cacerts", 404),
+        ("GET", "/.well-known/est/cacerts/cacerts", 404),
+        ("GET", "/.well-known/est/cacerts?x=1", 404),
+        ("GET", "//.well-known/est/cacerts", 404),
+        ("GET", "/.well-known/est/simpleenroll", 405),
+        ("POST", "/.well-known/est/cacerts", 405),
+        ("POST", "/.well-known/est/simpleenroll", 415),
+        ("GET", "/pqsec/v1/bundle", 401),
+        ("GET", "/pqsec/v1/head", 200),
+    ],
+)
+def test_a_path_is_compared_and_not_decoded(server, method, path, status):
+    assert server.send(method, path).status == status
