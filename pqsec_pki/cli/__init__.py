@@ -70,6 +70,7 @@ COMMANDS = {
     ),
     "status": ("status", "Show each participant's state and expiry, the most urgent first."),
     "log": ("log", "Show or verify the ledger of everything issued, signed and revoked."),
+    "ledger": ("ledger", "Keep the ledger in PostgreSQL, for CAs on several machines."),
     "governance": ("governance", "Write and convert governance documents in YAML."),
     "permissions": (
         "permissions",
@@ -114,8 +115,8 @@ COMMANDS = {
 
 GROUPS = {
     "Issue and maintain": (
-        "demo ca adopt issue permit renew needs-renewal revoke status log plan propose approve"
-        " apply domain"
+        "demo ca adopt issue permit renew needs-renewal revoke status log ledger plan propose"
+        " approve apply domain"
     ),
     "Robots with their own keys, and offline CAs": (
         "request bundle-key bundle install rollback enrol receipt sign-request ra serve"

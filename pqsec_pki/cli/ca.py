@@ -15,7 +15,7 @@ from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Keystore, SigningCa, key_algorithms, overview_of
+from pqsec_pki.keystore import Keystore, LedgerAddress, SigningCa, key_algorithms, overview_of
 from pqsec_pki.lifecycle import renew_list
 
 
@@ -102,6 +102,11 @@ profile_option = click.option(
     show_default=True,
     help="Govern these DDS domains: 0, or 0-3, or 0,5.",
 )
+@click.option(
+    "--ledger",
+    metavar="URL",
+    help="Keep the ledger in this database, for several machines: postgresql://USER@HOST/DATABASE.",
+)
 @_passphrases.option
 @_passphrases.weak_option
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
@@ -116,6 +121,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     name: str,
     validity: timedelta,
     domains: str,
+    ledger: str | None,
     passphrase_file: Path | None,
     *,
     no_passphrase: bool,
@@ -148,6 +154,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             validity=validity,
             passphrase=_passphrases.new(passphrase_file, none=no_passphrase) if in_files else None,
             keys=keys,
+            ledger=LedgerAddress.parse(ledger) if ledger else None,
             now=_settings.now(),
         )
     if no_passphrase and in_files:
@@ -265,6 +272,7 @@ def _show(keystore: Keystore) -> None:
         f"CA keys        {found.keys}",
         *(f"{'':<14} {name}: {uri}" for name, uri in found.key_uris.items()),
         *([f"approvals      {found.approvals}"] if found.approvals else ()),
+        *([f"ledger         {found.ledger.place}"] if found.ledger else []),
         f"participants   {', '.join(found.participants) or 'none yet: pqsec issue NAME'}",
     )
     _printing.emit(found.to_json(), lines)

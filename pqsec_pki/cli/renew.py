@@ -139,7 +139,7 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
 
 def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:
     """All named participants in any state; without names, all that can be renewed."""
-    skipped = set() if names else {State.PREVIOUS_CA, State.REVOKED, State.GONE}
+    skipped = set() if names else {State.PREVIOUS_CA, State.REVOKED, State.GONE, State.ELSEWHERE}
     return [each.name for each in standing.participants if each.state not in skipped]
 
 

@@ -85,6 +85,8 @@ def _why_not(held: ParticipantState, now: datetime, *, overlap: bool) -> Iterato
         yield "was revoked"
     if held.files is Files.GONE:
         yield "its certificate is missing"
+    if held.files is Files.ELSEWHERE:
+        yield "its files are on another machine"
     if held.files is Files.OTHER_CERTIFICATE:
         yield "its certificate is not the one issued last"
     if held.issued_by_previous_ca and not overlap:

@@ -16,6 +16,7 @@ _NEVER = datetime.max.replace(tzinfo=UTC)
 _SLACK = timedelta(days=1)
 """SROS2 writes a certificate and its permissions seconds apart."""
 _ELSEWHERE = "has its key elsewhere"
+_OTHER_MACHINE = "its files are on another machine, and were not made from this file"
 _OTHER_KEY = "its request is for another key"
 _IF_MEANT = "if it is really the robot that asks: --new-keys"
 _ASK_AGAIN = "make a new request on it (`pqsec request`), and name the file as its `request`"
@@ -43,6 +44,9 @@ class Reconciler:
             )
         elif held is not None and held.revoked:
             yield Blocked(member.name, "was revoked")
+        elif held is not None and held.files is Files.ELSEWHERE:
+            if held.config_digest != member.config_digest:
+                yield Blocked(member.name, _OTHER_MACHINE, "apply the file there")
         elif again := self._why_issue(member.name, held):
             yield self._issue_step(member, held, *again)
         elif held is not None:

@@ -20,6 +20,12 @@ The ledger:
     _store        what it needs of the place that keeps the lines
     _file_store   that place: a file in private/
     _ledger_file  reads that file, and replaces it as a whole
+    _address      the URL of a ledger in PostgreSQL
+    _postgres     such a ledger: lines, lock and commit; the only user of psycopg
+    _postgres_schema  its tables and rights, as SQL
+    _shared       which of the two a keystore has; the connection of the change that is made
+    _moved_ledger     lines that go from one of the two to the other
+    _replaced_cas     whether another machine replaced the CAs
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
     _entries      the lines for what is issued and signed
@@ -50,10 +56,13 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore import layout
+    from pqsec_pki.keystore._address import LedgerAddress
     from pqsec_pki.keystore._chain import Entry, Line
     from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
     from pqsec_pki.keystore._journal import change
     from pqsec_pki.keystore._ledger import Ledger
+    from pqsec_pki.keystore._moved_ledger import moved_entry
+    from pqsec_pki.keystore._postgres_schema import schema_sql
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
     from pqsec_pki.keystore.anchoring import (
@@ -153,6 +162,7 @@ __all__ = [
     "InstallState",
     "Keystore",
     "Ledger",
+    "LedgerAddress",
     "Line",
     "Overlap",
     "Overview",
@@ -199,6 +209,7 @@ __all__ = [
     "load_participant",
     "load_revocation_list",
     "matching",
+    "moved_entry",
     "order_entry",
     "overview_of",
     "participant_states",
@@ -210,6 +221,7 @@ __all__ = [
     "registrations",
     "regular_name",
     "robot_states",
+    "schema_sql",
     "settings_file",
     "signed_governance",
     "signed_grants",

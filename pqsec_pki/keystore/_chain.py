@@ -28,7 +28,7 @@ class Entry:
     """ISO 8601, UTC."""
     kind: str
     """identity-ca, permissions-ca, participant, governance, permissions, revocation, crl, trust,
-    approvals, plan, approval, ra-grant, ra-end or ra-order."""
+    approvals, plan, approval, ra-grant, ra-end, ra-order or ledger."""
     name: str
     serial: str | None
     """A certificate's serial number in hex; None for documents."""

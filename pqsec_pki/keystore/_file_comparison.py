@@ -9,6 +9,7 @@ import binascii
 import hashlib
 import json
 import os
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 
@@ -28,10 +29,11 @@ _MAX_SEEN = 64 << 20
 def presence(keystore: Keystore) -> Compare:
     """Tells only which participants' certificates are gone."""
     enclaves = f"{keystore.root}/{layout.ENCLAVES}"
+    gone = Files.ELSEWHERE if keystore.ledger_address else Files.GONE
 
     def compare(name: str, _certificate: str, _permissions: str) -> Files:
         there = exists(f"{enclaves}{name}/{layout.CERTIFICATE}", follow=False)
-        return Files.NOT_COMPARED if there else Files.GONE
+        return Files.NOT_COMPARED if there else gone
 
     return compare
 
@@ -39,7 +41,11 @@ def presence(keystore: Keystore) -> Compare:
 class FileComparison:
     """Compares participants' files with the ledger, and remembers those that are right."""
 
-    def __init__(self, root: Path, seen: dict[str, str]) -> None:
+    def __init__(
+        self, root: Path, seen: dict[str, str], older: Mapping[str, str] | None = None
+    ) -> None:
+        """`older` are the names by the SHA-256 of their certificates, if others use the ledger."""
+        self._older = older
         self._enclaves = f"{root}/{layout.ENCLAVES}"
         self._root = root
         self._seen = seen
@@ -52,7 +58,11 @@ class FileComparison:
         with suppress(FileError, ValueError, RecursionError):
             path = keystore.root / layout.PRIVATE / _SEEN
             seen = json.loads(read(path, limit=_MAX_SEEN))
-        return cls(keystore.root, seen if isinstance(seen, dict) else {})
+        older = None
+        if keystore.ledger_address:
+            with keystore.open_ledger() as ledger:
+                older = {sha256: name for name, sha256, _ in ledger.certified("")}
+        return cls(keystore.root, seen if isinstance(seen, dict) else {}, older)
 
     def compare(self, name: str, certificate: str, permissions: str) -> Files:
         """Compare `name`'s files with the SHA-256 of its certificate and permissions."""
@@ -60,7 +70,7 @@ class FileComparison:
         try:
             stamps = [_stamp(f"{folder}/{layout.CERTIFICATE}")]
         except (FileNotFoundError, NotADirectoryError):
-            return Files.GONE
+            return Files.GONE if self._older is None else Files.ELSEWHERE
         with suppress(FileNotFoundError):
             stamps.append(_stamp(f"{folder}/{layout.PERMISSIONS}"))
         whole = " ".join((*stamps, certificate, permissions)).encode()
@@ -73,7 +83,13 @@ class FileComparison:
             self._seen[name] = seen
         else:
             self._seen.pop(name, None)
-        return found
+        is_older = found is Files.OTHER_CERTIFICATE and self._was_issued(name, folder)
+        return Files.ELSEWHERE if is_older else found
+
+    def _was_issued(self, name: str, folder: str) -> bool:
+        """Whether the folder has a certificate that was issued to `name` before the newest."""
+        here = pem_fingerprint(read(Path(f"{folder}/{layout.CERTIFICATE}")))
+        return bool(self._older and self._older.get(here or "") == name)
 
     def save(self) -> None:
         """Save the files that are right, for the next time; errors are ignored."""

@@ -7,6 +7,11 @@ next change removes the staged folder; if it is killed after the commit, the nex
 changes the keystore finishes the moves (`_moves.py`). A new participant's folder is moved
 with one rename. A reader changes nothing, and refuses a keystore with unfinished moves.
 
+If the ledger is in a database, its commit is that of the change: the staged folder is renamed to
+`.prepared` first, and to `.journal` after it. If the process is killed between the two, the next
+command asks the database for the change's last line: if that is there, the moves are finished;
+if not, the staged folder is removed (ADR 28).
+
 Links in existing folders are only recorded, and created during the moves: to add a link to
 ten thousand enclaves, no enclave is staged.
 """
@@ -21,43 +26,55 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pqsec_pki._files import disk_errors, sync_filesystem
-from pqsec_pki.errors import InterruptedChangeError
-from pqsec_pki.keystore import _moves
+from pqsec_pki.errors import InterruptedChangeError, KeystoreError
+from pqsec_pki.keystore import _moves, _shared
+from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._lock import at_rest, locked
-from pqsec_pki.keystore._moves import DRAFT, JOURNAL
+from pqsec_pki.keystore._moved_ledger import refuse_moved
+from pqsec_pki.keystore._moves import DRAFT, JOURNAL, PREPARED
+from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
 
 if TYPE_CHECKING:
+    from pqsec_pki.keystore._postgres import PostgresLedger
     from pqsec_pki.keystore.authorities import Authorities
 
 
 @contextmanager
-def change(root: Path, authorities: "Authorities | None" = None) -> Iterator[Transaction]:
+def change(
+    root: Path, authorities: "Authorities | None" = None, *, address: LedgerAddress | None = None
+) -> Iterator[Transaction]:
     """Stage a change to the keystore at `root`; it is committed if the block raises no error.
 
     `authorities`, its CAs with their keys, sign the next head of the ledger. Only one process
     changes a keystore at a time. KeystoreError if another process locks it for half a minute, if
     another user owns it or may write there, or if the CAs have been replaced meanwhile;
-    FileError for a disk error.
+    FileError for a disk error. The lines go into the database at `address`, if it is given.
     """
     with _disk_errors(root):
         root.mkdir(mode=0o755, parents=True, exist_ok=True)
         with locked(root) as folder:
-            _moves.finish(folder)
+            _settle(folder)
             _sweep(folder)
-            if authorities:
-                authorities.refuse_outdated(root)
-            name = f"{DRAFT}{secrets.token_hex(8)}"
-            try:
-                os.mkdir(name, 0o700, dir_fd=folder.handle)
-                with folder.below(name) as made:
-                    transaction = Transaction(folder, made, authorities=authorities)
-                    yield transaction
-                    _commit(transaction, name)
-            except BaseException:
-                shutil.rmtree(name, ignore_errors=True, dir_fd=folder.handle)
-                raise
+            with _shared.writing(root, address) as database:
+                if authorities:
+                    authorities.refuse_outdated(root)
+                if database and address is None:
+                    refuse_moved(database)
+                    refuse_replaced(root, database)
+                name = f"{DRAFT}{secrets.token_hex(8)}"
+                try:
+                    os.mkdir(name, 0o700, dir_fd=folder.handle)
+                    with folder.below(name) as made:
+                        transaction = Transaction(
+                            folder, made, authorities=authorities, database=database
+                        )
+                        yield transaction
+                        _commit(transaction, name)
+                except BaseException:
+                    shutil.rmtree(name, ignore_errors=True, dir_fd=folder.handle)
+                    raise
             _moves.finish(folder)
 
 
@@ -68,19 +85,22 @@ def hold(root: Path) -> Iterator[None]:
     The thread that holds the lock may make any number of changes. Errors as with `change`.
     """
     with _disk_errors(root), locked(root) as folder:
-        _moves.finish(folder)
-        yield
+        _settle(folder)
+        with _shared.writing(root, hold=True):
+            yield
 
 
 def recover(root: Path) -> bool:
     """Finish a change that was committed but not completed; True if there was one.
 
+    One that was only prepared is dropped.
+
     Errors as with `change`.
     """
     if not _is_interrupted(root):
         return False
-    with hold(root):
-        return True
+    with _disk_errors(root), locked(root) as folder:
+        return _settle(folder)
 
 
 def check(root: Path) -> None:
@@ -96,7 +116,7 @@ def refuse_interrupted(root: Path) -> None:
     """
     if _is_interrupted(root):
         with disk_errors(root), suppress(FileNotFoundError), at_rest(root) as folder:
-            if folder.kind(JOURNAL) is not None:
+            if not {folder.kind(JOURNAL), folder.kind(PREPARED)} <= {None}:
                 raise InterruptedChangeError(
                     f"{root}: a change was interrupted when it was half done",
                     hint=f"`pqsec -k {root} ca recover` finishes it",
@@ -105,9 +125,13 @@ def refuse_interrupted(root: Path) -> None:
 
 def _is_interrupted(root: Path) -> bool:
     """Whether there is a journal. FileError names the keystore: no user knows the journal."""
+    return any(_is_there(root, name) for name in (JOURNAL, PREPARED))
+
+
+def _is_there(root: Path, name: str) -> bool:
     with disk_errors(root):
         try:
-            (root / JOURNAL).lstat()
+            (root / name).lstat()
         except FileNotFoundError:
             return False
         except OSError as error:
@@ -116,14 +140,63 @@ def _is_interrupted(root: Path) -> bool:
     return True
 
 
+def _settle(root: Folder) -> bool:
+    """Finish or drop the change that a killed command left; True if one was finished."""
+    finished = root.kind(JOURNAL) is not None
+    _moves.finish(root)
+    if (commitment := _moves.prepared_change(root)) is None:
+        return finished
+    try:
+        with _shared.connected(commitment.address) as database, database.change():
+            # No other command is in its transaction now, also not the killed one.
+            committed = database.has(commitment.number, commitment.chain)
+    except KeystoreError as error:
+        raise InterruptedChangeError(
+            f"a change was interrupted when it was committed; whether it was, only the database"
+            f" knows: {error}",
+            hint="run the command again, or `pqsec ca recover`, when the database answers",
+        ) from error
+    if committed:
+        _rename(root, PREPARED, JOURNAL)
+        _moves.finish(root)
+    else:
+        _rename(root, PREPARED, f"{DRAFT}{secrets.token_hex(8)}")
+        _sweep(root)
+    return committed
+
+
+def _rename(root: Folder, old: str, new: str) -> None:
+    os.rename(old, new, src_dir_fd=root.handle, dst_dir_fd=root.handle)
+    os.fsync(root.handle)
+
+
 def _commit(transaction: Transaction, name: str) -> None:
     transaction.sign_head()
     transaction.refuse_folders()
+    transaction.add_to_database()
     _moves.write(transaction)
     sync_filesystem(transaction.made.handle)
-    root = transaction.root.handle
-    os.rename(name, JOURNAL, src_dir_fd=root, dst_dir_fd=root)
-    os.fsync(root)
+    if transaction.database and transaction.committed_by:
+        _rename(transaction.root, name, PREPARED)
+        if not _is_committed(transaction.root, transaction.database):
+            return
+        name = PREPARED
+    _rename(transaction.root, name, JOURNAL)
+
+
+def _is_committed(root: Folder, database: "PostgresLedger") -> bool:
+    """Commit the lines in the database; False if that is done, and the change finished.
+
+    KeystoreError if they are not committed, InterruptedChangeError if that is not known.
+    """
+    try:
+        database.commit()
+    except KeystoreError:
+        database.close()
+        if not _settle(root):
+            raise
+        return False
+    return True
 
 
 def _sweep(root: Folder) -> None:

@@ -85,6 +85,11 @@ class Ledger:
         with self._errors(), _table.transaction(self._database):
             _table.append(self._database, entries)
 
+    def stored(self, *, after: int = 0) -> list[tuple[Any, ...]]:
+        """The lines after number `after` as a store keeps them: the rows of `_table.rows`."""
+        with self._errors():
+            return list(_table.rows(self._database, after=after))
+
     def to_file(self) -> bytes:
         """The lines as an SQLite database."""
         with self._errors():

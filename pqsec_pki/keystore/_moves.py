@@ -11,19 +11,21 @@ import posixpath
 import secrets
 import shutil
 import stat
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import fields, replace
 from operator import attrgetter
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import _file_store, _shredding, layout
+from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._transaction import Transaction, refuse_detours
 
-JOURNAL = ".journal"
+JOURNAL, PREPARED = ".journal", ".prepared"
 DRAFT = ".draft-"
 _NAME, _LINK = "moves.json", "link"
 _VALUES = attrgetter(*(each.name for each in fields(Entry)))
@@ -31,6 +33,20 @@ _IN_THE_WAY = {errno.ENOTEMPTY, errno.EEXIST, errno.EBUSY, errno.EINVAL}
 """Errors of rename(2) for a folder that cannot replace another."""
 _MAX_SIZE = 256 << 20
 """Bytes; the lines of 100,000 participants take 80 MB."""
+
+
+@dataclass(frozen=True, slots=True)
+class Commitment:
+    """The line in a database whose presence means that the change is committed."""
+
+    address: LedgerAddress
+    number: int
+    chain: str
+
+    @classmethod
+    def of(cls, value: Mapping[str, object]) -> "Commitment":
+        address = LedgerAddress.parse(str(value["address"]))
+        return cls(address, int(str(value["number"])), str(value["chain"]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +60,9 @@ class _Moves:
     begins_ledger: bool
     """Whether to create a missing ledger. Otherwise it was lost, and a new one would lack the
     revocations."""
+    in_database: bool
+    """Whether the lines are in a database, and not for the file."""
+    commitment: Commitment | None
 
     @classmethod
     def read(cls, journal: Folder) -> "_Moves":
@@ -58,8 +77,10 @@ class _Moves:
                 [str(place) for place in moves.get("removed", [])],
                 [_entry(each) for each in moves["entries"]],
                 moves.get("begins_ledger") is True,
+                moves.get("in_database") is True,
+                Commitment.of(moves["commitment"]) if moves.get("commitment") else None,
             )
-        except (ValueError, KeyError, TypeError, RecursionError):
+        except (UsageError, ValueError, KeyError, TypeError, RecursionError):
             raise _unreadable(path) from None
         places = (*found.targets, *(place for place, _ in found.links), *found.removed)
         shown = (posixpath.join(posixpath.dirname(place), to) for place, to in found.links)
@@ -76,8 +97,32 @@ def write(transaction: Transaction) -> None:
         "removed": transaction.removed,
         "entries": [_VALUES(entry) for entry in transaction.entries],
         "begins_ledger": transaction.begins_ledger,
+        "in_database": transaction.database is not None,
+        "commitment": _commitment(transaction),
     }
     create(_NAME, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=transaction.made.handle)
+
+
+def _commitment(transaction: Transaction) -> dict[str, object] | None:
+    if transaction.database is None or transaction.committed_by is None:
+        return None
+    number, chain = transaction.committed_by
+    return {"address": transaction.database.address.url, "number": number, "chain": chain}
+
+
+def prepared_change(root: Folder) -> Commitment | None:
+    """How to learn whether the change that is prepared in `root` is committed; None without one.
+
+    KeystoreError if it cannot be read, or another user owns it.
+    """
+    if root.kind(PREPARED) is None:
+        return None
+    with root.below(PREPARED) as prepared:
+        prepared.refuse_outsiders()
+        commitment = _Moves.read(prepared).commitment
+        if commitment is None:
+            raise _unreadable(f"{prepared.path}/{_NAME}")
+        return commitment
 
 
 def finish(root: Folder) -> None:
@@ -98,7 +143,7 @@ def finish(root: Folder) -> None:
             _link(journal, root, place, target)
         for place in moves.removed:
             _remove(root, place)
-        if moves.entries:
+        if moves.entries and not moves.in_database:
             with root.below(layout.PRIVATE) as private:
                 _file_store.add(private, moves.entries, journal, begin=moves.begins_ledger)
         sync_filesystem(root.handle)

@@ -37,10 +37,11 @@ _SCHEMA = (
 )
 COLUMNS = "at, kind, name, serial, sha256, not_after, issuer, details, operator"
 _DETAILS = COLUMNS.split(", ").index("details")
-_INSERT = (
+_FILL = (
     f"INSERT INTO ledger (number, {COLUMNS}, chain)"  # noqa: S608 -- no outside text
-    " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (kind, sha256) DO NOTHING"
+    " VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 )
+_INSERT = f"{_FILL} ON CONFLICT (kind, sha256) DO NOTHING"
 
 
 @contextmanager
@@ -98,6 +99,19 @@ def _format_1(database: sqlite3.Connection) -> list[Entry]:
     return [
         replace(Entry(*row), issuer=issuer if row[1] == "participant" else None) for row in rows
     ]
+
+
+def fill(database: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:
+    """Create the table in an empty database, with rows of number, COLUMNS and chain value."""
+    with transaction(database):
+        make(database)
+        database.executemany(_FILL, rows)
+
+
+def rows(database: sqlite3.Connection, *, after: int = 0) -> Iterator[tuple[Any, ...]]:
+    """Such rows of the lines after number `after`, oldest first."""
+    query = f"SELECT number, {COLUMNS}, chain FROM ledger WHERE number > ? ORDER BY number"  # noqa: S608
+    yield from database.execute(query, (after,))
 
 
 def last(database: sqlite3.Connection) -> tuple[int, str]:

@@ -14,13 +14,15 @@ from typing import TYPE_CHECKING
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
 from pqsec_pki._owners import operator
-from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _file_store, _shredding, layout
+from pqsec_pki.errors import ExistsError, KeystoreError
+from pqsec_pki.keystore import _file_store, _moved_ledger, _shredding, layout
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._ledger import Ledger
 
 if TYPE_CHECKING:
+    from pqsec_pki.keystore._postgres import PostgresLedger
     from pqsec_pki.keystore.authorities import Authorities
 
 
@@ -71,10 +73,25 @@ class Transaction:
     """Place of each link, and its target relative to its folder."""
     removed: list[str] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
+    database: "PostgresLedger | None" = None
+    """Where the ledger is, if it is not in a file; no other machine adds lines meanwhile."""
+    committed_by: tuple[int, str] | None = None
+    """Number and chain value of the line whose commit in the database is that of the change."""
     begins_ledger: bool = False
     """Whether the ledger may be missing when the lines are written."""
     authorities: "Authorities | None" = None
     """The CAs that sign the ledger's next head, if their keys are at hand."""
+
+    def refuse_lines(self) -> None:
+        """ExistsError if the database has lines already: a keystore begins its own ledger."""
+        if self.database:
+            with Ledger(self.database) as ledger:
+                if ledger.size:
+                    raise ExistsError(
+                        f"{self.database.place} has the ledger of a keystore already",
+                        hint="name another database; to use that keystore on this machine, copy"
+                        " it: docs/how-to/postgresql.md",
+                    )
 
     def folder(self, target: str, *, private: bool) -> StagedFolder:
         """Stage an empty folder that will become, or be merged into, `target`."""
@@ -117,7 +134,7 @@ class Transaction:
 
         KeystoreError if the ledger cannot be written; UsageError as of `operator`.
         """
-        if not self.entries:
+        if not (self.entries or self.database):
             # A keystore has a ledger; a keystore that is being adopted has none.
             self.begins_ledger = self.root.kind(layout.SETTINGS) is None
             _check_ledger(self.root, begin=self.begins_ledger)
@@ -138,14 +155,49 @@ class Transaction:
             for name, data in signed.files():
                 public.public(name, data)
 
+    def take_over(self, ledger: Ledger) -> bool:
+        """Put the lines of `ledger` into the database; False if that has newer ones too."""
+        if self.database is None:
+            raise ValueError("the ledger is not for a database")
+        return _moved_ledger.take_over(self.database, ledger)
+
+    def stage_ledger_file(self) -> None:
+        """Stage the ledger, with the new lines, as a file, and read it back.
+
+        KeystoreError if it has other lines then.
+        """
+        with self._ledger() as ledger:
+            ledger.append(self.entries)
+            wanted = ledger.stored()
+            private = self.folder(layout.PRIVATE, private=True)
+            private.private(layout.LEDGER, ledger.to_file())
+        with self.made.below(private.name) as staged, Ledger(FileStore(staged)) as ledger:
+            if ledger.stored() != wanted:
+                raise KeystoreError(f"{staged.path}/{layout.LEDGER} has other lines than written")
+
+    def add_to_database(self) -> None:
+        """Add the lines to the database, if the ledger is there, without committing them."""
+        if self.database is None:
+            return
+        with Ledger(self.database) as ledger:
+            before = ledger.size
+            ledger.append(self.entries)
+            if ledger.size > before:
+                self.committed_by = ledger.size, ledger.head
+                self.database.add(ledger.stored(after=before))
+
     @contextmanager
     def _ledger(self) -> Iterator[Ledger]:
         """The ledger as it is; a new one for a keystore that is being created."""
+        if self.database:
+            with Ledger(self.database) as ledger:
+                yield ledger
+            return
         begin = self.begins_ledger
         there = self.root.kind(layout.PRIVATE) is not None
         with ExitStack() as stack:
             folder = stack.enter_context(self.root.below(layout.PRIVATE)) if there else self.made
-            yield stack.enter_context(Ledger(_file_store.FileStore(folder, begin=begin)))
+            yield stack.enter_context(Ledger(FileStore(folder, begin=begin)))
 
     def refuse_folders(self) -> None:
         """KeystoreError if a staged file would have to replace a folder."""

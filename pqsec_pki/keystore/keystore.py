@@ -22,7 +22,8 @@ from pqsec_pki.errors import (
     KeystoreError,
     located,
 )
-from pqsec_pki.keystore import _journal, _settings, layout
+from pqsec_pki.keystore import _journal, _settings, _shared, layout
+from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._file_store import FileStore
@@ -74,22 +75,25 @@ class Keystore:
         validity: timedelta,
         passphrase: bytes | None,
         keys: Mapping[str, PrivateKey] | None = None,
+        ledger: LedgerAddress | None = None,
         now: datetime,
     ) -> Self:
         """Create two CAs and a signed default governance in the folder `root`.
 
         `keys` are CA keys that are there already, by the names of their files: see `made_keys`.
+        The ledger begins in the database at `ledger` [default: in a file of the keystore].
 
         ExistsError if a keystore is there already: CA keys are never overwritten. UsageError for
         domains that stacks read differently.
         """
         cls.refuse_occupied(root)
-        settings = _settings.settings_file(profile, domains)
+        settings = _settings.settings_file(profile, domains, ledger)
         authorities = Authorities.create(profile, name, now=now, validity=validity, keys=keys)
         governance = Governance.protected(domains).to_xml()
         signed = authorities.sign(governance, now=now)
-        with _journal.change(root) as transaction:
+        with _journal.change(root, address=ledger) as transaction:
             cls.refuse_occupied(root)
+            transaction.refuse_lines()
             transaction.authorities = authorities
             public = transaction.folder(layout.PUBLIC, private=False)
             private = transaction.folder(layout.PRIVATE, private=True)
@@ -340,7 +344,21 @@ class Keystore:
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`, or it has no certificate."""
-        refuse_unknown(self.root, layout.enclave_name(name))
+        name = layout.enclave_name(name)
+        if self.elsewhere([name]):
+            raise KeystoreError(
+                f"the files of {name} are on another machine with this ledger",
+                hint=f"work there; or `pqsec issue {name} --force` issues it here, with new keys",
+            )
+        refuse_unknown(self.root, name)
+
+    def elsewhere(self, names: Iterable[str]) -> list[str]:
+        """Of these participants those whose files another machine with the same ledger has."""
+        missing = [name for name in map(layout.enclave_name, names) if not self.has(name)]
+        if not missing or not self.ledger_address:
+            return []
+        with self.open_ledger() as ledger:
+            return [row[0] for row in ledger.participants(missing)]
 
     def participant(self, name: str, passphrase: bytes | None = None) -> Credentials:
         """The participant called `name`; KeystoreError if there is none."""
@@ -372,14 +390,20 @@ class Keystore:
         with self.open_ledger() as ledger:
             return list(ledger.lines())
 
+    @property
+    def ledger_address(self) -> LedgerAddress | None:
+        """Where the ledger is, if it is not in a file of this keystore."""
+        return _settings.read_ledger(self.root / layout.SETTINGS)
+
     def open_ledger(self) -> Ledger:
         """The ledger, for this package's modules."""
         with (
             disk_errors(self.root / layout.PRIVATE),
             Folder.opened(self.root) as root,
             root.below(layout.PRIVATE) as private,
+            _shared.reading(self.root, root) as database,
         ):
-            return Ledger(FileStore(private))
+            return Ledger(database or FileStore(private))
 
 
 def _not_a_keystore(root: Path) -> KeystoreError:

@@ -27,6 +27,8 @@ PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
 GENERATIONS = f"{PRIVATE}/generations"
 """CAs that have been replaced, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
+LEDGER_FILES = tuple(LEDGER + each for each in ("", "-wal", "-shm", "-journal"))
+"""The ledger, and what SQLite of an earlier pqsec left beside it."""
 TREE_HEAD, TREE = "ledger.checkpoint", "ledger.tree"
 """In `public/`: the newest signed head of the ledger, and what is needed to extend its tree."""
 

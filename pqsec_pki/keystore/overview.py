@@ -9,6 +9,7 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore.authorities import SigningCa, ca_key_files
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
@@ -30,6 +31,8 @@ class Overview:
     participants: tuple[str, ...]
     approvals: str
     """Whose approvals changes need; empty if nobody's, or if the ledger cannot be read."""
+    ledger: LedgerAddress | None
+    """The database with the ledger; None if it is in a file of the keystore."""
 
     def to_json(self) -> dict[str, object]:
         """The overview for --json."""
@@ -42,6 +45,7 @@ class Overview:
             "cas": [{"role": role, **each.to_json()} for role, each in self.cas],
             "participants": self.participants,
             "approvals": self.approvals or None,
+            "ledger": self.ledger.url if self.ledger else None,
         }
 
 
@@ -56,6 +60,7 @@ def overview_of(keystore: Keystore) -> Overview:
         key_uris=_uris(keystore),
         participants=tuple(keystore.names()),
         approvals=_approvals(keystore),
+        ledger=keystore.ledger_address,
     )
 
 

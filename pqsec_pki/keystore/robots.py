@@ -113,7 +113,7 @@ def _state(
     shared: dict[tuple[int, int], bytes],
 ) -> RobotState:
     name, state = participant.name, InstallState.UNKNOWN
-    if participant.state in {State.REVOKED, State.GONE}:
+    if participant.state in {State.REVOKED, State.GONE, State.ELSEWHERE}:
         return RobotState(name=name, state=InstallState.NONE, receipt=receipt, should_run=None)
     if numbers is None:
         return RobotState(name=name, state=state, receipt=None, should_run=None)

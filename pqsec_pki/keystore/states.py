@@ -31,6 +31,8 @@ class State(StrEnum):
     REVOKED = "revoked"
     GONE = "gone"
     """Its folder no longer has a certificate."""
+    ELSEWHERE = "elsewhere"
+    """Its newest files are on another machine with the same ledger."""
 
     @classmethod
     def at(cls, now: datetime, made: datetime, end: datetime, due: timedelta | None) -> "State":
@@ -57,6 +59,8 @@ class Files(StrEnum):
     RIGHT = "right"
     GONE = "gone"
     """The folder has no certificate."""
+    ELSEWHERE = "elsewhere"
+    """Another machine with the same ledger has the newest certificate."""
     OTHER_CERTIFICATE = "other certificate"
     OTHER_PERMISSIONS = "other permissions"
     """The certificate is right, the permissions are not."""
@@ -171,6 +175,8 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
 def _state(by_time: State, files: Files, *, revoked: bool, previous: bool) -> State:
     if files is Files.GONE:
         return State.GONE
+    if files is Files.ELSEWHERE and not revoked:
+        return State.ELSEWHERE
     if revoked:
         return State.REVOKED
     return State.PREVIOUS_CA if previous else by_time

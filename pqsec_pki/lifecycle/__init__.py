@@ -15,6 +15,7 @@ CAs:
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
     grouping      stores the groups of a domain file, and whose approvals are needed
+    moving        moves the ledger from its file into a database, and back
     registering   grants for registration authorities, and their end
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
 """
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from pqsec_pki.lifecycle.grouping import store_approvals, store_groups
     from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, grows
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
+    from pqsec_pki.lifecycle.moving import IN_A_FILE, LedgerMove, move_ledger
     from pqsec_pki.lifecycle.passphrase import change_passphrase
     from pqsec_pki.lifecycle.permitting import (
         PermissionsChange,
@@ -59,10 +61,12 @@ else:
 
 __all__ = [
     "CA_VALIDITY",
+    "IN_A_FILE",
     "LIST_VALIDITY",
     "Adoptable",
     "Adopted",
     "Issued",
+    "LedgerMove",
     "OverlapStep",
     "ParticipantSpec",
     "PermissionsChange",
@@ -85,6 +89,7 @@ __all__ = [
     "grows",
     "issue",
     "lasts_longer",
+    "move_ledger",
     "plan_rollover",
     "refuse_keys_in_files",
     "renew",

@@ -101,7 +101,7 @@ class Inspector:
                 " it was issued here",
             )
         if found.fingerprint != known.sha256:
-            raise _stale(path, name, "certificate")
+            raise _stale(path, name, "certificate", self.keystore)
         return found
 
     def lacks_permissions(self, name: str, folder: Path) -> bool:
@@ -120,7 +120,7 @@ class Inspector:
         signed = read(path)
         number = self.known.get(hashlib.sha256(signed).hexdigest(), 0)
         if number < max(self.participants[name].permissions_line, 1):
-            raise _stale(path, name, "permissions")
+            raise _stale(path, name, "permissions", self.keystore)
         return signed
 
     def permissions(self, name: str, folder: Path) -> Permissions:
@@ -151,7 +151,12 @@ class Inspector:
             )
 
 
-def _stale(path: Path, name: str, what: str) -> KeystoreError:
+def _stale(path: Path, name: str, what: str, keystore: Keystore) -> KeystoreError:
+    if keystore.ledger_address:
+        return KeystoreError(
+            f"{path} is not the newest {what} of {name}: another machine has it",
+            hint=f"work there; or `pqsec issue {name} --force ...` here, with new keys",
+        )
     return KeystoreError(
         f"{path} is not the newest {what} that the ledger has for {name}",
         hint=f"restore that file, or issue it again: pqsec issue {name} --force ...",

@@ -206,8 +206,15 @@ def _checked(
 
 
 def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, force: bool) -> None:
-    there = [] if force else sorted(spec.name for spec in specs if keystore.has(spec.name))
-    if there:
+    if force:
+        return
+    names = sorted(spec.name for spec in specs)
+    if elsewhere := keystore.elsewhere(names):
+        raise ExistsError(
+            f"already issued on another machine with this ledger: {', '.join(elsewhere)}",
+            hint="work there; --force issues it here, with new key, certificate and permissions",
+        )
+    if there := list(filter(keystore.has, names)):
         raise ExistsError(
             f"already issued: {', '.join(there)}",
             hint="`pqsec permit` changes rights and `pqsec renew` renews; --force replaces key,"

@@ -231,7 +231,10 @@ class _Execution:
             if Path(place).name not in written:
                 self.transaction.remove(place)
         settings = self.transaction.folder(".", private=False)
-        settings.public(layout.SETTINGS, settings_file(self.new.profile, self.new.domains))
+        settings.public(
+            layout.SETTINGS,
+            settings_file(self.new.profile, self.new.domains, self.old.ledger_address),
+        )
         self.transaction.record(*self.authorities.entries(self.now))
         if overlap:
             switched = Overlap(Phase.SWITCHED, overlap.other, overlap.issuing)

@@ -22,7 +22,7 @@ MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000 files; the limit stops at a home folder."""
 MAX_BYTES = 1 << 30
 """Of all files together, which stay in memory: that keystore has 0.2 GB."""
-JOURNAL, LEDGER = ".journal", "private/ledger.sqlite3"
+JOURNAL, PREPARED, LEDGER = ".journal", ".prepared", "private/ledger.sqlite3"
 
 # In a folder, only files with such a name are read, including backup copies (key.pem~).
 _RELEVANT = re.compile(
@@ -75,9 +75,10 @@ class Search:
     def _settings(self, root: Path) -> None:
         """Read the settings of a keystore; if a change was interrupted, only record that."""
         path = root / SETTINGS
-        if os.path.lexists(root / JOURNAL):
-            self.interrupted_change = root / JOURNAL
-            return
+        for name in (JOURNAL, PREPARED):
+            if os.path.lexists(root / name):
+                self.interrupted_change = root / name
+                return
         try:
             self.keystore = Keystore.open(root)
         except PqsecError as error:
@@ -189,10 +190,20 @@ def _missing_parts(root: Path) -> tuple[str, ...]:
     A keystore of pqsec has settings or a ledger: a keystore of SROS2 and a robot's copy have
     neither. Files in a folder that cannot be opened do not count as missing.
     """
-    missing = tuple(each for each in (SETTINGS, "private", LEDGER) if _is_missing(root / each))
+    names = (SETTINGS, "private", LEDGER)
+    missing = tuple(each for each in names if _is_missing(root / each))
+    if missing == (LEDGER,) and _has_database(root):
+        return ()
     if _is_missing(root / "public") or _is_missing(root / ENCLAVES):
         return ()
     return () if {SETTINGS, LEDGER} <= {*missing} else missing
+
+
+def _has_database(root: Path) -> bool:
+    """Whether the ledger of the keystore at `root` is in a database."""
+    with suppress(PqsecError):
+        return Keystore.open(root).ledger_address is not None
+    return False
 
 
 def _is_missing(path: Path) -> bool:

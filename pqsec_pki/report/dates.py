@@ -18,7 +18,7 @@ KINDS = {
 """Kinds of `keystore.SharedStatus` in words."""
 CERTIFICATE = "participant's certificate"
 PERMISSIONS = "participant's permissions"
-_OVER = (State.REVOKED, State.GONE)
+_OVER = (State.REVOKED, State.GONE, State.ELSEWHERE)
 
 
 def endings_of(status: Status, fleet: Fleet | None) -> tuple[Ending, ...]:

@@ -33,7 +33,7 @@ def exposures_of(
     profiles = {
         each.name: each.profile or ""
         for each in (status.participants if status else ())
-        if each.state not in {State.REVOKED, State.GONE}
+        if each.state not in {State.REVOKED, State.GONE, State.ELSEWHERE}
     }
     enclaves = checked.inventory.enclaves if checked else ()
     participants = {

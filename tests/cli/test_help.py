@@ -196,6 +196,7 @@ ELSEWHERE = {
     "agent status": "needs an agent: tests/cli/test_plugin.py",
     "enrol": "needs a server: tests/cli/test_network.py",
     "enrolment-token revoke": "needs the id of a token: tests/unit/test_serve.py",
+    "ledger move": "needs a server: tests/interop/test_postgres.py",
     "plugin install": "needs a compiler: tests/cli/test_plugin.py",
     "plugin status": "is of the user's home: tests/cli/test_plugin.py",
     "plugin uninstall": "is of the user's home: tests/cli/test_plugin.py",

@@ -115,6 +115,7 @@ ONLY_IN = {
     "OpenSSL": {"est", "server"},
     "twisted": {"server"},
     "pkcs11": {"tokens"},
+    "psycopg": {"keystore"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"vendors", "report"},
 }

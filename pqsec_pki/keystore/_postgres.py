@@ -1,0 +1,211 @@
+"""A ledger in PostgreSQL, for keystores on several machines. The only user of psycopg.
+
+One advisory lock of the database is held by who adds lines, from before the first question until
+the commit, so lines are numbered and chained as with one machine.
+"""
+
+import hashlib
+import os
+import sqlite3
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Any, Self
+
+import psycopg
+from psycopg import errors
+from psycopg.conninfo import make_conninfo
+
+from pqsec_pki.errors import KeystoreError, shown
+from pqsec_pki.keystore import _ledger_file, _postgres_schema, _table
+from pqsec_pki.keystore._address import LedgerAddress
+
+_LOCK = int.from_bytes(hashlib.sha256(b"pqsec ledger").digest()[:8], "big", signed=True)
+"""The number of the advisory lock."""
+_CONNECTION = {
+    "application_name": "pqsec",
+    "client_encoding": "utf8",
+    "target_session_attrs": "read-write",  # a standby may lack the newest revocation
+    "keepalives_idle": "30",
+    "keepalives_interval": "10",
+    "keepalives_count": "3",
+    "tcp_user_timeout": "60000",
+}
+_SESSION = {
+    "lock_timeout": "30s",  # as long as for another command on this machine
+    "idle_in_transaction_session_timeout": "0",  # a change may sign for minutes
+    "tcp_keepalives_idle": "30",  # a machine that lost its power gives the lock back
+    "tcp_keepalives_interval": "10",
+    "tcp_keepalives_count": "3",
+    "search_path": "pg_catalog",
+    "DateStyle": "ISO",
+}
+_SESSION_SQL = (
+    "SELECT "
+    + ", ".join(f"set_config('{name}', '{value}', false)" for name, value in _SESSION.items())
+    + ", set_config('synchronous_commit', CASE current_setting('synchronous_commit')"
+    " WHEN 'off' THEN 'on' ELSE current_setting('synchronous_commit') END, false)"
+)
+_COLUMNS = f"number, {_table.COLUMNS}, chain"
+_SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger ORDER BY number"  # noqa: S608 -- no outside text
+_COPY = f"COPY pqsec.ledger ({_COLUMNS}) FROM STDIN"
+_BATCH = 5000
+"""Rows of one answer."""
+_NOTHING = "nothing was changed: run the command again when the database answers"
+_GUIDE = "docs/how-to/postgresql.md"
+
+
+class PostgresLedger:
+    """A connection to the ledger's database; closed, it opens again for no question."""
+
+    def __init__(self, address: LedgerAddress) -> None:
+        """KeystoreError if it does not answer, or has no ledger of this version."""
+        self.address = address
+        self._copy: bytes | None = None
+        self._in_change = False
+        with self._errors():
+            self._connection = psycopg.connect(
+                make_conninfo(address.url, **_defaults(address)),
+                autocommit=True,
+                prepare_threshold=None,
+            )
+        try:
+            with self._errors():
+                self._connection.execute(_SESSION_SQL)
+                self._refuse_format()
+        except BaseException:
+            self.close()
+            raise
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give back the locks; what was not committed is dropped."""
+        with suppress(psycopg.Error):
+            self._connection.close()
+
+    @property
+    def place(self) -> str:
+        """Its address, for messages."""
+        return self.address.place
+
+    def load(self, database: sqlite3.Connection) -> None:
+        """All lines; within a change as they are for it."""
+        if self._copy is not None:
+            database.deserialize(self._copy)
+            return
+        pages = database.execute("PRAGMA page_size").fetchone()[0]
+        database.execute(f"PRAGMA max_page_count = {_ledger_file.MAX_SIZE // pages}")
+        with self._errors(), self._snapshot():
+            _table.fill(database, self._rows())
+        if self._in_change:
+            self._copy = database.serialize()
+
+    def hold(self) -> None:
+        """Exclude other writers until the connection is closed."""
+        with self._errors():
+            self._connection.execute("SELECT pg_advisory_lock(%s)", (_LOCK,))
+
+    @contextmanager
+    def change(self) -> Iterator[None]:
+        """Exclude other writers; what is not committed in the block is dropped."""
+        with self._errors():
+            self._connection.execute("BEGIN")
+            self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+        self._in_change = True
+        try:
+            yield
+        finally:
+            self._in_change, self._copy = False, None
+            with suppress(psycopg.Error):
+                if self._connection.info.transaction_status:
+                    self._connection.execute("ROLLBACK")
+
+    def add(self, rows: Iterable[tuple[Any, ...]]) -> None:
+        """Add lines, in rows of number, columns and chain value; `commit` makes them stay."""
+        self._copy = None
+        with self._errors(), self._connection.cursor() as cursor, cursor.copy(_COPY) as copy:
+            for row in rows:
+                copy.write_row(row)
+
+    def commit(self) -> None:
+        """End the change. After a KeystoreError only `has` tells whether it was committed."""
+        with self._errors():
+            if self._connection.execute("COMMIT").statusmessage != "COMMIT":
+                raise KeystoreError(f"{self.place}: the change was refused", hint=_NOTHING)
+
+    def has(self, number: int, chain: str) -> bool:
+        """Whether line `number` is the one with that chain value."""
+        with self._errors():
+            found = self._connection.execute(
+                "SELECT chain FROM pqsec.ledger WHERE number = %s", (number,)
+            ).fetchone()
+        return found == (chain,)
+
+    def _rows(self) -> Iterator[tuple[Any, ...]]:
+        with self._connection.cursor(name="pqsec") as cursor:
+            cursor.itersize = _BATCH
+            yield from cursor.execute(_SELECT)
+
+    @contextmanager
+    def _snapshot(self) -> Iterator[None]:
+        """One transaction for reading, unless a change is one already."""
+        if self._in_change:
+            yield
+            return
+        self._connection.execute("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
+        try:
+            yield
+        finally:
+            with suppress(psycopg.Error):
+                self._connection.execute("ROLLBACK")
+
+    def _refuse_format(self) -> None:
+        [(found,)] = self._connection.execute("SELECT max(version) FROM pqsec.format").fetchall()
+        if not isinstance(found, int) or found > _postgres_schema.FORMAT:
+            raise KeystoreError(f"{self.place}: made by a newer pqsec (format {shown(str(found))})")
+        if found < _postgres_schema.FORMAT:
+            raise _without_tables(f"{self.place}: made by an older pqsec (format {found})")
+
+    @contextmanager
+    def _errors(self) -> Iterator[None]:
+        """Turn errors of the database and of the connection into KeystoreError."""
+        try:
+            yield
+        except errors.LockNotAvailable:
+            raise KeystoreError(
+                f"{self.place}: another pqsec command is using this ledger",
+                hint="one whose machine was cut off gives it back after a minute",
+            ) from None
+        except (errors.UndefinedTable, errors.InvalidSchemaName):
+            raise _without_tables(f"{self.place} has no ledger") from None
+        except errors.InsufficientPrivilege as error:
+            raise KeystoreError(
+                f"{self.place}: {_said(error)}", hint=f"{_GUIDE} has the rights that a role needs"
+            ) from None
+        except psycopg.Error as error:
+            raise KeystoreError(f"{self.place}: {_said(error)}", hint=_NOTHING) from None
+
+
+def _defaults(address: LedgerAddress) -> dict[str, str]:
+    """What the address does not say: a server is authenticated, unless it is this machine."""
+    given = address.parameters
+    found = {name: value for name, value in _CONNECTION.items() if name not in given}
+    found["connect_timeout"] = given.get("connect_timeout", "10")
+    if not address.is_local and not ({"sslmode", "service"} & given.keys()):
+        found["sslmode"] = os.environ.get("PGSSLMODE", "verify-full")
+    return found
+
+
+def _without_tables(words: str) -> KeystoreError:
+    hint = f"`pqsec ledger schema` writes the SQL that makes its tables: {_GUIDE}"
+    return KeystoreError(words, hint=hint)
+
+
+def _said(error: psycopg.Error) -> str:
+    """The first line of what the server, or libpq, said."""
+    lines = str(error).strip().splitlines() or [type(error).__name__]
+    return shown(lines[0], limit=300)

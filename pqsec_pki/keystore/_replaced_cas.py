@@ -1,0 +1,55 @@
+"""Whether the CAs of this machine are those of the ledger, if other machines change it too."""
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pqsec_pki._files import read
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import Ledger
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore._store import LedgerStore
+
+
+def refuse_replaced(root: Path, store: "LedgerStore") -> None:
+    """KeystoreError if another machine replaced a CA, or changed which identity CAs are trusted."""
+    with Ledger(store) as ledger:
+        identity = _identity_cas(each.entry for each in ledger.lines())
+        signers = ledger.of_kind("permissions-ca")
+    newest = {each.sha256 for each in signers if each.at == signers[-1].at}
+    if not (
+        _certificates(root, layout.IDENTITY_CA)[: len(identity)] == identity
+        and newest.issuperset(_certificates(root, layout.PERMISSIONS_CA)[: len(newest)])
+    ):
+        raise KeystoreError(
+            f"{root}: the CAs are not those of the ledger: another machine changed them",
+            hint="copy public/ and private/ from the machine where `pqsec ca rotate` ran:"
+            " docs/how-to/postgresql.md",
+        )
+
+
+def _identity_cas(lines: Iterable[Entry]) -> list[str]:
+    """The trusted identity CAs by their SHA-256, the issuing one first (overlap.py)."""
+    before: list[str] = []
+    trusted: list[str] = []
+    for line in lines:
+        match line.kind, line.details.get("overlap"):
+            case "identity-ca", _:
+                before, trusted = trusted, [line.sha256]
+            case "trust", "begun":
+                trusted = [*before[:1], *trusted]
+            case "trust", _:
+                trusted = trusted[::-1]
+            case "trust-end", _:
+                trusted = trusted[:1]
+    return trusted
+
+
+def _certificates(root: Path, name: str) -> list[str]:
+    return [
+        each.fingerprint for each in Certificate.all_from_pem(read(root / layout.PUBLIC / name))
+    ]

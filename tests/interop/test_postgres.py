@@ -1,0 +1,401 @@
+"""Ledgers in a PostgreSQL server of Debian: two machines, kills, cuts, rights, and moves."""
+
+import os
+import shutil
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from pqsec_pki.algorithms import profile_named
+from pqsec_pki.documents import DomainSet
+from pqsec_pki.domain import apply, plan, read_domain
+from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError, VerificationError
+from pqsec_pki.keystore import (
+    Keystore,
+    LedgerAddress,
+    State,
+    _postgres,
+    _postgres_schema,
+    audit,
+    checked_head,
+    schema_sql,
+    status,
+)
+from pqsec_pki.lifecycle import (
+    ParticipantSpec,
+    Rollover,
+    Scope,
+    apply_rollover,
+    issue,
+    move_ledger,
+    plan_rollover,
+    renew,
+    revoke,
+)
+from tests.interop.cut import Cutter
+from tests.postgres import PROGRAMS, WRITER, Cluster
+from tests.unit.killing import NOW, YEAR, survives
+
+pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
+
+
+@pytest.fixture(scope="session")
+def cluster(requires) -> Iterator[Cluster]:
+    requires(PROGRAMS, "PostgreSQL", "apt-get install postgresql")
+    with Cluster.created() as made:
+        yield made
+
+
+def create(root: Path, ledger: LedgerAddress | None = None) -> Keystore:
+    return Keystore.create(
+        root,
+        profile_named("classical"),
+        name="Lab",
+        domains=DomainSet.of(0),
+        validity=10 * YEAR,
+        passphrase=None,
+        ledger=ledger,
+        now=NOW,
+    )
+
+
+def issue_to(root: Path, *names: str, force: bool = False) -> Keystore:
+    keystore = Keystore.open(root, to_change=True)
+    specs = [ParticipantSpec(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
+    issue(keystore, keystore.unlock(None), specs, now=NOW, force=force)
+    return keystore
+
+
+@pytest.fixture
+def database(cluster) -> str:
+    return cluster.database()
+
+
+@pytest.fixture
+def first(cluster, database, tmp_path) -> Keystore:
+    """A keystore with a participant, and its ledger in a database."""
+    create(tmp_path / "first", cluster.address(database))
+    return issue_to(tmp_path / "first", "/alice")
+
+
+@pytest.fixture
+def second(first, tmp_path) -> Keystore:
+    """The keystore of another machine."""
+    return copied(first, tmp_path / "second")
+
+
+def copied(keystore: Keystore, root: Path) -> Keystore:
+    shutil.copytree(keystore.root, root, symlinks=True)
+    return Keystore.open(root, to_change=True)
+
+
+def check_whole(*machines: Keystore) -> None:
+    """One chain, one head; no serial twice; each file here has its line."""
+    for each in machines:
+        lines, _ = audit(each)
+        serials = [line.serial for line in each.ledger() if line.kind == "participant"]
+        assert len(set(serials)) == len(serials)
+        assert checked_head(each).head.size <= lines
+    assert len({each.head for each in machines}) == 1
+
+
+# One ledger
+
+
+def test_the_ledger_of_a_keystore_is_in_the_database(first, cluster, database):
+    assert not list((first.root / "private").glob("ledger*"))
+    found = cluster.sql("SELECT number, kind, written_by FROM pqsec.ledger", database).split()
+    assert found[0] == f"1|identity-ca|{WRITER}"
+    assert len(found) == len(first.lines()) == 5
+    check_whole(first)
+
+
+def test_two_machines_continue_one_chain(first, second):
+    for number, each in enumerate([second, first, second, second, first]):
+        issue_to(each.root, f"/n{number}")
+    check_whole(first, second)
+    names = {each.name for each in first.ledger() if each.kind == "participant"}
+    assert names == {"/alice", *(f"/n{number}" for number in range(5))}
+    assert checked_head(first).head.size == len(second.lines())
+
+
+def test_a_revocation_of_another_machine_is_in_the_next_list(first, second):
+    bob = issue_to(second.root, "/bob")
+    revoke(second, second.unlock(None), ["/alice"], now=NOW)
+    _, made = revoke(first, first.unlock(None), ["/bob"], now=NOW)
+    assert (made.number, len(made.revoked)) == (2, 2)
+    with pytest.raises(VerificationError, match="is not the newest list in the ledger"):
+        audit(bob)
+
+
+def test_another_keystore_does_not_begin_in_a_database_with_lines(first, tmp_path):
+    with pytest.raises(ExistsError, match="has the ledger of a keystore already"):
+        create(tmp_path / "other", first.ledger_address)
+    assert not (tmp_path / "other/pqsec.json").exists()
+    assert len(first.lines()) == 5
+
+
+def test_an_older_pqsec_refuses_the_keystore(first):
+    assert '"format": 2' in (first.root / "pqsec.json").read_text()
+
+
+def test_without_the_tables_it_is_said_how_they_are_made(cluster, tmp_path):
+    with pytest.raises(KeystoreError, match="has no ledger") as refusal:
+        create(tmp_path / "k", cluster.address(cluster.database(tables=False)))
+    assert "pqsec ledger schema" in refusal.value.hint
+    assert not (tmp_path / "k/pqsec.json").exists()
+
+
+def test_tables_are_made_once_and_brought_up_to_date(first, cluster, database, monkeypatch):
+    cluster.sql(schema_sql([WRITER]), database)
+    newer = "ALTER TABLE pqsec.ledger ADD COLUMN remark text;\n"
+    monkeypatch.setattr(_postgres_schema, "_FORMATS", (_postgres_schema._FORMAT_1, newer))
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 2)
+    with pytest.raises(KeystoreError, match="made by an older pqsec"):
+        first.lines()
+    cluster.sql(schema_sql([WRITER]), database)
+    assert len(first.lines()) == 5
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 1)
+    with pytest.raises(KeystoreError, match="made by a newer pqsec"):
+        first.lines()
+
+
+def test_a_command_waits_for_the_lock_and_then_says_who_has_it(first, second, monkeypatch):
+    shorter = _postgres._SESSION_SQL.replace("'30s'", "'100ms'")
+    monkeypatch.setattr(_postgres, "_SESSION_SQL", shorter)
+    with first.hold(), pytest.raises(KeystoreError, match="another pqsec command is using this"):
+        issue_to(second.root, "/bob")
+    issue_to(second.root, "/bob")
+    with first.hold():
+        issue_to(first.root, "/carol")
+    check_whole(first, second)
+
+
+def test_the_address_in_a_keystore_that_others_write_is_not_followed(first):
+    (first.root).chmod(0o777)
+    with pytest.raises(KeystoreError, match="anybody may write there"):
+        first.lines()
+
+
+def states(keystore: Keystore, *, compare: bool = False) -> dict[str, State]:
+    found = status(keystore, now=NOW, compare_files=compare)
+    return {each.name: each.state for each in found.participants}
+
+
+def test_the_files_of_another_machine_are_said_to_be_there(first, second):
+    issue_to(second.root, "/bob")
+    assert states(first) == {"/alice": State.VALID, "/bob": State.ELSEWHERE}
+    assert states(second) == {"/alice": State.VALID, "/bob": State.VALID}
+    with pytest.raises(ExistsError, match="already issued on another machine"):
+        issue_to(first.root, "/bob")
+    with pytest.raises(KeystoreError, match="files of /bob are on another machine"):
+        renew(first, first.unlock(None), ["/bob"], now=NOW)
+    issue_to(first.root, "/bob", force=True)
+    assert states(first, compare=True)["/bob"] is State.VALID
+    assert states(second, compare=True)["/bob"] is State.ELSEWHERE
+    with pytest.raises(KeystoreError, match="another machine has it"):
+        renew(second, second.unlock(None), ["/bob"], now=NOW)
+
+
+def test_a_plan_leaves_what_is_on_another_machine_there(first, second, tmp_path):
+    path = tmp_path / "domain.yaml"
+    path.write_text(
+        "name: Lab\nprofile: classical\nparticipants:\n  - {name: /bob, publish: [rt/a]}\n"
+    )
+    desired = read_domain(path)
+    apply(desired, second.root, passphrase=None, now=NOW)
+    assert [each.action for each in plan(desired, first, now=NOW).steps] == []
+    path.write_text(path.read_text().replace("rt/a", "rt/b"))
+    [blocked] = plan(read_domain(path), first, now=NOW).blocked
+    assert "on another machine" in blocked.why
+
+
+def test_new_cas_of_one_machine_are_needed_on_the_other(first, second):
+    terms = Rollover(profile=first.profile, scope=Scope.IDENTITY, validity=10 * YEAR)
+    apply_rollover(first, plan_rollover(first, terms, now=NOW), kept=first.unlock(None), now=NOW)
+    with pytest.raises(KeystoreError, match="not those of the ledger") as refusal:
+        issue_to(second.root, "/bob")
+    assert "copy public/ and private/" in refusal.value.hint
+    for name in ("public", "private"):
+        shutil.rmtree(second.root / name)
+        shutil.copytree(first.root / name, second.root / name)
+    issue_to(second.root, "/bob")
+    issue_to(first.root, "/carol")
+
+
+# Rights
+
+INSERT = "INSERT INTO pqsec.ledger (number, at, kind, name, sha256, details, chain"
+
+
+@pytest.mark.parametrize("user", [WRITER, "owner"])
+@pytest.mark.parametrize(
+    "statement",
+    [
+        "UPDATE pqsec.ledger SET name = 'x'",
+        "DELETE FROM pqsec.ledger WHERE number = 5",
+        "TRUNCATE pqsec.ledger",
+        f"{INSERT}) VALUES (99, '', '', '', '', '', '')",
+    ],
+)
+def test_the_database_itself_lets_nobody_change_lines(first, cluster, database, statement, user):
+    with pytest.raises(subprocess.CalledProcessError) as refusal:
+        cluster.sql(statement, database, user)
+    why = "permission denied" if user == WRITER else "lines are only added"
+    assert ("does not follow" if statement.startswith("INSERT") else why) in refusal.value.stderr
+    check_whole(first)
+
+
+def test_a_writer_cannot_say_that_another_role_wrote(first, cluster, database):
+    with pytest.raises(subprocess.CalledProcessError) as refusal:
+        cluster.sql(
+            f"{INSERT}, written_by) VALUES (6, '', '', '', '', '', '', 'owner')",
+            database,
+            WRITER,
+        )
+    assert "permission denied" in refusal.value.stderr
+
+
+def test_a_reader_reads_and_adds_nothing(first, cluster, database):
+    cluster.sql("CREATE ROLE auditor LOGIN", database)
+    cluster.sql(schema_sql(readers=["auditor"]), database)
+    settings = first.root / "pqsec.json"
+    settings.write_text(settings.read_text().replace(f"{WRITER}@", "auditor@"))
+    check_whole(first)
+    with pytest.raises(KeystoreError, match="permission denied") as refusal:
+        issue_to(first.root, "/bob")
+    assert "rights" in refusal.value.hint
+    assert not (first.root / "enclaves/bob").exists()
+
+
+# Kills and cuts
+
+
+WRITER_PROCESS = """
+import sys
+from pathlib import Path
+from tests.interop.test_postgres import issue_to
+root, name = sys.argv[1:]
+for number in range(3):
+    issue_to(Path(root), f"/{name}/n{number}")
+"""
+
+
+def test_eight_writers_on_two_machines_make_one_chain(first, second):
+    roots = [each.root for _ in range(4) for each in (first, second)]
+    commands = [
+        subprocess.Popen([sys.executable, "-c", WRITER_PROCESS, root, f"w{number}"])
+        for number, root in enumerate(roots)
+    ]
+    assert [each.wait(240) for each in commands] == [0] * 8
+    check_whole(first, second)
+    assert len([each for each in first.ledger() if each.kind == "participant"]) == 1 + 8 * 3
+
+
+def settled(keystore: Keystore, name: str) -> bool:
+    """Whether the participant was issued, after recovery; files and lines must agree."""
+    Keystore.recover(keystore.root)
+    assert not [*keystore.root.glob(".journal"), *keystore.root.glob(".prepared")]
+    check_whole(keystore)
+    in_ledger = any(each.name == name for each in keystore.ledger())
+    assert keystore.has(name) == in_ledger
+    return in_ledger
+
+
+def test_a_writer_that_is_killed_at_any_call_leaves_all_or_nothing(first):
+    done, calls, step = [], 1, 1 if os.environ.get("PQSEC_LONG") else 9
+    while not done or not done[-1][0]:
+        name = f"/n{calls}"
+        ended = survives(calls, lambda name=name: issue_to(first.root, name))
+        done.append((ended, settled(first, name)))
+        calls += step
+    issued = [there for _, there in done]
+    assert issued == sorted(issued)
+    assert set(issued) == {False, True}
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_a_commit_whose_answer_is_lost_is_found_out_at_once(first, cluster, committed):
+    with Cutter(cluster, first) as cutter:
+        cutter.cut_at(b"COMMIT", deliver=committed)
+        if committed:
+            issue_to(first.root, "/bob")
+        else:
+            with pytest.raises(KeystoreError, match="connection") as refusal:
+                issue_to(first.root, "/bob")
+            assert "nothing was changed" in refusal.value.hint
+    assert settled(first, "/bob") is committed
+
+
+@pytest.mark.parametrize("committed", [False, True])
+def test_a_commit_is_found_out_when_the_network_is_back(first, cluster, committed):
+    with Cutter(cluster, first) as cutter:
+        cutter.cut_at(b"COMMIT", deliver=committed, stay=True)
+        with pytest.raises(InterruptedChangeError, match="only the database knows"):
+            issue_to(first.root, "/bob")
+        with pytest.raises(InterruptedChangeError, match="interrupted"):
+            Keystore.open(first.root)
+        with pytest.raises(InterruptedChangeError, match="only the database knows"):
+            Keystore.open(first.root, to_change=True)
+        assert not first.has("/bob")
+    assert settled(first, "/bob") is committed
+    assert settled(issue_to(first.root, "/carol"), "/carol")
+
+
+def test_a_network_that_is_cut_before_changes_nothing(first, cluster):
+    with Cutter(cluster, first) as cutter:
+        cutter.cut_at(b"COPY")
+        with pytest.raises(KeystoreError) as refusal:
+            issue_to(first.root, "/bob")
+        assert "nothing was changed" in refusal.value.hint
+    assert not settled(first, "/bob")
+    assert settled(issue_to(first.root, "/bob"), "/bob")
+
+
+# Another place
+
+
+def test_a_ledger_is_moved_into_a_database_and_back(tmp_path, cluster, database):
+    create(tmp_path / "k")
+    keystore = issue_to(tmp_path / "k", "/alice")
+    before = keystore.lines()
+    moved = move_ledger(keystore, cluster.address(database), now=NOW)
+    assert (moved.lines, moved.joined) == (len(before) + 1, False)
+    assert keystore.lines()[: len(before)] == before
+    assert not list((keystore.root / "private").glob("ledger*"))
+    issue_to(keystore.root, "/bob")
+    check_whole(keystore)
+    other = copied(keystore, tmp_path / "other")
+    lines = keystore.lines()
+    move_ledger(keystore, None, now=NOW)
+    assert keystore.lines()[: len(lines)] == lines
+    issue_to(keystore.root, "/carol")
+    check_whole(keystore)
+    with pytest.raises(KeystoreError, match="was moved to a file"):
+        issue_to(other.root, "/dora")
+    move_ledger(keystore, cluster.address(database), now=NOW)
+    issue_to(other.root, "/dora")
+    check_whole(keystore, other)
+
+
+def test_a_copy_on_another_machine_joins_its_ledger(tmp_path, cluster, database):
+    create(tmp_path / "first")
+    first = issue_to(tmp_path / "first", "/alice")
+    second = copied(first, tmp_path / "second")
+    move_ledger(first, cluster.address(database), now=NOW)
+    assert move_ledger(second, cluster.address(database), now=NOW).joined
+    issue_to(second.root, "/bob")
+    check_whole(first, second)
+
+
+def test_a_database_with_another_ledger_is_refused(first, tmp_path):
+    create(tmp_path / "other")
+    other = issue_to(tmp_path / "other", "/alice")
+    before = other.lines()
+    with pytest.raises(KeystoreError, match="the ledger of another keystore: line 1 differs"):
+        move_ledger(other, first.ledger_address, now=NOW)
+    assert other.lines() == before
+    check_whole(first)
