@@ -374,6 +374,17 @@ def test_a_grant_that_the_identity_ca_did_not_sign_is_refused(line):
     refused(line, line.order(grant, "/fleet/r1"), "is not signed by the identity CA")
 
 
+def test_a_copy_of_a_revoked_grant_under_another_hash_is_refused(line):
+    grant = line.add()
+    order = line.order(grant, "/fleet/r1")
+    end_registrations(line.keystore, line.cas, ["line1"], now=NOW)
+    [kept] = registrations(line.keystore)
+    copied = replace(grant_entry(kept.signed, NOW), sha256="0" * 64)
+    with change(line.root, line.cas) as transaction:
+        transaction.record(copied)
+    refused(line, order, "is damaged .it has another grant", KeystoreError)
+
+
 def test_a_grant_for_another_ledger_is_refused(line, tmp_path):
     """The same CAs, in a copy of the keystore that became another one."""
     grant = line.grant(ledger="pqsec-ledger/0000")
@@ -477,6 +488,16 @@ def test_a_grant_of_before_the_rule_of_approvals_is_not_enough(tmp_path):
     refused(line, order, "approvals are needed for rights that grow", KeystoreError)
     with pytest.raises(KeystoreError, match="approvals are needed for rights that grow"):
         line.add(authority="line2")
+    end_registrations(line.keystore, line.cas, ["line1"], now=NOW)  # less may be done, by default
     approved = replace(line.keystore, approved=True)
     made = add_registration(approved, line.cas, line.grant(authority="line2"), now=NOW)
     line.perform(line.order(made.grant, "/fleet/r2"))
+
+
+def test_where_every_change_needs_approvals_the_end_of_a_grant_does_too(tmp_path):
+    line, policy = with_approvals(tmp_path)
+    line.add()
+    line.write(line.file.read_text() + policy.replace("required: 2", "required: 2, for: all"))
+    line.apply()
+    with pytest.raises(KeystoreError, match="approvals are needed for every change"):
+        end_registrations(line.keystore, line.cas, ["line1"], now=NOW)
