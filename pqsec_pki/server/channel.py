@@ -162,7 +162,7 @@ class Channels(HTTPFactory):
         answer: Callable[[LimitedRequest], None],
         count: Callable[[str], None],
     ) -> None:
-        super().__init__(timeout=seconds, reactor=reactor)
+        super().__init__(timeout=None, reactor=reactor)  # our own time does not begin again
         self.seconds, self.classical = seconds, classical
         self.most, self.answer, self.count = most, answer, count
 

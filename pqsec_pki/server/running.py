@@ -33,7 +33,11 @@ Log = Callable[[str], None]
 
 
 def run_signer(
-    settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime], log: Log
+    settings: ServerSettings,
+    unlock: Unlock,
+    clock: Callable[[], datetime],
+    log: Log,
+    pass_on: Callable[[], None] = lambda: None,
 ) -> None:
     """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`."""
     keystore = Keystore.open(settings.keystore, to_change=True)
@@ -52,7 +56,7 @@ def run_signer(
     make_state(settings)
     listener = listening(settings.socket, bool(settings.front_user))
     with listener:
-        SignerProcess(listener, load, load(), users_of(settings.front_user), log).run()
+        SignerProcess(listener, load, load(), users_of(settings.front_user), log, pass_on).run()
     with suppress(OSError):
         settings.socket.unlink()
 
@@ -84,7 +88,7 @@ def run_both(
 
     signal.signal(signal.SIGCHLD, child_ended)
     try:
-        run_signer(settings, unlock, clock, log)
+        run_signer(settings, unlock, clock, log, lambda: front.send_signal(signal.SIGHUP))
     finally:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         _stop(front)

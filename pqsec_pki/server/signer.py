@@ -41,6 +41,8 @@ class SignerProcess:
     users: frozenset[int]
     """Who may connect."""
     log: Callable[[str], None]
+    pass_on: Callable[[], None]
+    """Tells the front to read the configuration again too."""
     stopping: bool = False
     reloading: bool = False
 
@@ -66,6 +68,7 @@ class SignerProcess:
 
     def _load(self) -> None:
         """Use the new configuration; the old one stays if that has a mistake."""
+        self.pass_on()
         try:
             self.desk = self.load()
             self.log("the configuration was read again")

@@ -176,7 +176,9 @@ class Server:
         chains = (self.folder / "0.pem", self.folder / "1.pem")
         return frozenset(spki_pin(Certificate.from_pem(each.read_bytes())) for each in chains)
 
-    def send(self, method, path, body=b"", *, identity=None, token=None, **headers):
+    def send(  # noqa: PLR0913 -- by name
+        self, method, path, body=b"", *, identity=None, token=None, source=HOST, **headers
+    ):
         """The answer to one request on a connection of its own."""
         named = {"Host": HOST, "Connection": "close"}
         if method == "POST":
@@ -185,7 +187,7 @@ class Server:
             named["Authorization"] = basic(token)
         named |= {key.replace("_", "-"): value for key, value in headers.items()}
         lines = [f"{method} {path} HTTP/1.1", *(f"{key}: {value}" for key, value in named.items())]
-        with self.connect(identity) as link:
+        with self.connect(identity, source=source) as link:
             link.sendall("\r\n".join([*lines, "", ""]).encode() + body)
             return reply_in(received(link))
 

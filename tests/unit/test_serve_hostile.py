@@ -1,0 +1,172 @@
+"""The server among clients that mean harm, and when it is killed: honest robots are served."""
+
+import signal
+import socket
+import threading
+import time
+from contextlib import ExitStack, suppress
+from datetime import UTC, datetime
+
+import pytest
+from OpenSSL import SSL
+
+from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
+
+ENEMY = "127.0.0.66"
+LIMITS = {
+    "seconds": 2,
+    "body": 20_000,
+    "connections_of_address": 20,
+    "requests_of_address": 60,
+}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    made = Server(tmp_path_factory.mktemp("serve"), datetime.now(UTC), limits=LIMITS)
+    with made.running():
+        yield made
+
+
+def counted(server, event):
+    for line in server.page("/metrics", text=True).splitlines():
+        if f'"{event}"' in line:
+            return int(line.split()[-1])
+    return 0
+
+
+def until(question):
+    """Wait until the answer is yes."""
+    end = time.monotonic() + PATIENCE
+    while not question():
+        assert time.monotonic() < end
+        time.sleep(0.05)
+
+
+def test_connections_that_send_nothing_hold_nobody_up(server):
+    before = counted(server, "too-many")
+    with ExitStack() as stack:
+        for _ in range(200):
+            link = stack.enter_context(socket.socket())
+            link.bind((ENEMY, 0))
+            link.connect((HOST, server.port))
+        assert server.send("GET", "/pqsec/v1/head").status == 200
+        until(lambda: counted(server, "too-many") >= before + 180)
+        until(lambda: counted(server, "late") >= 20)  # they are closed, whoever waits
+        assert server.send("GET", "/pqsec/v1/head", source=ENEMY).status == 200
+
+
+@pytest.mark.parametrize(
+    "said", [b"GET /pqsec", b"POST /pqsec/v1/requests HTTP/1.1\r\nHost: x\r\n"]
+)
+def test_a_request_that_comes_octet_by_octet_is_cut_off(server, said):
+    before = counted(server, "late")
+    with server.connect(source=ENEMY) as link:
+        link.sendall(said)
+        with suppress(SSL.Error, OSError):
+            for _ in range(100):
+                link.sendall(b"a")
+                time.sleep(0.1)
+    assert counted(server, "late") > before
+
+
+@pytest.mark.parametrize(
+    ("lines", "status"),
+    [
+        (["Content-Length: 1000000000"], 413),
+        (["Content-Length: 20001"], 413),
+        (["Transfer-Encoding: chunked"], 411),
+        (["Content-Length: -1"], 400),
+        (["Content-Length: 5", "Content-Length: 5"], 400),
+        (["Content-Length: 5", "Transfer-Encoding: chunked"], 400),
+        (["X: " + "a" * 20_000], None),
+        (["A: b"] * 100, 400),
+        (["no colon"], 400),
+    ],
+)
+def test_a_header_decides_before_a_body_is_read(server, lines, status):
+    first = ["POST /pqsec/v1/requests HTTP/1.1", "Host: x", "Content-Type: application/pkcs10"]
+    with server.connect() as link, suppress(SSL.SysCallError):
+        link.sendall("\r\n".join([*first, *lines, "", ""]).encode())
+        found = received(link)
+        assert (reply_in(found).status if found else None) == status
+
+
+def test_too_many_requests_are_refused_for_their_address_only(server, tmp_path):
+    statuses = [server.send("GET", "/nothing", source="127.0.0.77").status for _ in range(70)]
+    assert statuses[:50] == [404] * 50
+    refused = server.send("GET", "/nothing", source="127.0.0.77")
+    assert (refused.status, 429 in statuses) == (429, True)
+    assert int(refused.headers["retry-after"]) >= 1
+    reply = server.ask(Robot(server, tmp_path).request, token=server.token("/fleet/r1"))
+    assert reply.status == 200
+
+
+def test_a_stolen_token_gives_nothing_after_the_robot(server, tmp_path):
+    robot, token = Robot(server, tmp_path / "a", "/fleet/r2"), server.token("/fleet/r2")
+    assert server.ask(robot.request, token=token).status == 200
+    thief = Robot(server, tmp_path / "b", "/fleet/r2")
+    other = server.token("/fleet/*", uses=2)
+    head = server.keystore.head
+    assert server.ask(thief.request, token=token, source=ENEMY).status == 401
+    refused = server.ask(thief.request, token=other, source=ENEMY)
+    assert (refused.status, "must be made with --replace" in refused.detail) == (409, True)
+    assert server.ask(Robot(server, tmp_path / "c", "/other").request, token=other).status == 403
+    assert server.keystore.head == head
+
+
+def test_one_use_is_one_use_for_all_at_once(server, tmp_path):
+    token, done = server.token("/fleet/r3"), []
+    robots = [Robot(server, tmp_path / str(each), "/fleet/r3") for each in range(6)]
+    threads = [
+        threading.Thread(target=lambda r=each: done.append(server.ask(r.request, token=token)))
+        for each in robots
+    ]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    statuses = sorted(each.status for each in done)
+    assert statuses[0] == 200
+    assert set(statuses[1:]) <= {401, 503}
+
+
+def test_a_new_configuration_leaves_open_connections_alone(tmp_path):
+    made = Server(tmp_path, datetime.now(UTC))
+    with made.running(), made.connect() as link:
+        domain = tmp_path / "domain.yaml"
+        domain.write_text(domain.read_text().replace("r{1..3}", "r{1..9}"))
+        made.process.send_signal(signal.SIGHUP)
+        until(lambda: made.log.count("the configuration was read again") == 2)
+        link.sendall(b"GET /pqsec/v1/head HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n")
+        assert reply_in(received(link)).status == 200
+        robot = Robot(made, tmp_path / "robot", "/fleet/r9")
+        assert made.ask(robot.request, token=made.token("/fleet/r9")).status == 200
+        domain.write_text("not: a domain")
+        made.process.send_signal(signal.SIGHUP)
+        until(lambda: "the configuration is not changed" in made.log)
+        assert made.ask(robot.request, token=made.token("/fleet/r9", replaces=True)).status == 200
+    assert made.process.returncode == 0
+
+
+@pytest.mark.parametrize("moment", [0.01, 0.05, 0.1, 0.2])
+def test_after_a_kill_the_same_request_has_one_answer(tmp_path, moment):
+    made = Server(tmp_path, datetime.now(UTC))
+    made.start()
+    robot, token = Robot(made, tmp_path / "robot"), made.token("/fleet/r1")
+
+    def ask():
+        with suppress(SSL.Error, OSError, ValueError, IndexError):
+            made.ask(robot.request, token=token)
+
+    asking = threading.Thread(target=ask)
+    asking.start()
+    time.sleep(moment)
+    made.kill()
+    asking.join()
+    with made.running():
+        replies = [made.ask(robot.request, token=token) for _ in range(2)]
+        assert [each.status for each in replies] == [200, 200]
+        assert replies[0].headers["etag"] == replies[1].headers["etag"]
+    lines = [each for each in made.keystore.ledger() if each.name == "/fleet/r1"]
+    assert [each.kind for each in lines] == ["participant", "permissions"]
