@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.access.join import may_join
     from pqsec_pki.access.matrix import DocumentOwner, TopicRow, topics_named
-    from pqsec_pki.access.question import Action, Question
+    from pqsec_pki.access.question import MAX_NAME, Action, Question
     from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -57,6 +57,7 @@ __all__ = [
     "CYCLONEDDS",
     "FASTDDS",
     "INTERPRETATIONS",
+    "MAX_NAME",
     "OPENDDS",
     "SPEC",
     "Action",

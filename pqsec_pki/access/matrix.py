@@ -118,7 +118,8 @@ class Matrix:
         interpretation: Interpretation,
     ) -> None:
         self._now, self._covers = now, interpretation.covers
-        self._known = Names(name for name in names if name)
+        # No topic of DDS is longer, so nobody may use it.
+        self._known = Names(name for name in names if name and len(name) <= MAX_NAME)
         rules = [each for rule in governance.domain_rules for each in rule.topic_rules]
         expressions = tuple(dict.fromkeys(each.topic_expression for each in rules))
         self._kind: dict[str, object] = {}
@@ -126,7 +127,7 @@ class Matrix:
         self._of_kind: dict[object, list[str]] = {}
         for name in self._known.sorted:
             covered = tuple(interpretation.governs(each, name) for each in expressions)
-            kind = covered, name in interpretation.builtin, len(name) > MAX_NAME
+            kind = covered, name in interpretation.builtin
             self._kind[name] = kind
             self._of_kind.setdefault(kind, []).append(name)
         self._members = [

@@ -9,6 +9,7 @@ import click
 
 from pqsec_pki.access import (
     INTERPRETATIONS,
+    MAX_NAME,
     Interpretation,
     domains_said,
     interpretation_named,
@@ -183,6 +184,11 @@ def _note_doubts(found: WhoMay) -> None:
     """Notes about unknown topics and ungoverned domains."""
     for topic, instead in found.unknown.items():
         _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
+    if found.too_long:
+        names = _printing.few([f"{each[:20]}..." for each in found.too_long])
+        _printing.note(
+            f"no topic of DDS has more than {MAX_NAME} characters, so nobody can use {names}"
+        )
     if found.ungoverned:
         words = domains_said(found.ungoverned)
         _printing.note(f"the governance does not name {words}: no participant can join it")

@@ -6,6 +6,7 @@ from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
+    MAX_NAME,
     DocumentOwner,
     Interpretation,
     Placed,
@@ -35,6 +36,12 @@ class WhoMay:
     """Topics and patterns that no rule names or matches -> similar names as a text."""
     ungoverned: list[DomainRange]
     """Those of `domains` that the governance does not name."""
+
+    @property
+    def too_long(self) -> list[str]:
+        """The topics that are longer than any of DDS can be, which nobody can use."""
+        every = (each.row for each in self.rows)
+        return [row.topic for row in every if len(row.topic) > MAX_NAME and not row.is_pattern]
 
     def to_json(self) -> dict[str, object]:
         """With one object for each row."""

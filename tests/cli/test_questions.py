@@ -1086,3 +1086,16 @@ def test_participants_are_chosen_by_name_or_pattern(pqsec, fleet_of_nodes):
     assert {each["from"] for each in flows} == {"/bot/server", "/desk"}
     pqsec(f"{fleet_of_nodes} --participant /dusk").refused(2, "/dusk", hint="/desk")
     pqsec(f"{fleet_of_nodes} --participant '/none/*'").refused(3, "no participant matches")
+
+
+def test_a_topic_that_is_too_long_for_dds_is_answered_and_named(pqsec):
+    pqsec("-k k ca init --no-passphrase --profile classical").done()
+    long = f"rt/{'x' * 254}"
+    pqsec(f"-k k issue /a --publish {long} --publish rt/y").done()
+    done = pqsec("-k k who-may --json").done()
+    assert "no topic of DDS has more than 256 characters" in done.err
+    assert {each["topic"]: each["publish"] for each in done.json["topics"]} == {
+        long: [],
+        "rt/y": ["/a"],
+    }
+    assert "a name is longer" not in pqsec("-k k report -o report.html").done().err

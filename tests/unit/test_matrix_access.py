@@ -137,3 +137,11 @@ def test_a_document_with_several_grants_is_asked_for_its_subject():
         DocumentOwner(name=s, subject=f"CN={s}", permissions=both) for s in ("/talker", "/listener")
     ]
     assert rows(*members) == rows(TALKER, LISTENER)
+
+
+@pytest.mark.parametrize("topic", ["x" * 257, "rt/" + "?" * 254], ids=["name", "pattern"])
+def test_nobody_uses_a_topic_that_is_longer_than_any_of_dds_can_be(topic):
+    long = member("/long", allow(topic, "a"))
+    found = rows(long, BOSS)
+    assert found[topic] == ((), ())
+    assert found["a"] == (("/long", "/boss"), ("/boss",))
