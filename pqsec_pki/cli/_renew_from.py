@@ -44,9 +44,11 @@ def renew_from(  # noqa: PLR0913 -- what the command line says
         from pqsec_pki import est  # noqa: PLC0415 -- a library of an extra
 
         known = _known(url, folder, _network.server_trust(*server))
-        terms = est.KeyTerms(pins=pins, pin=_passphrases.pin, force=bool(rekey))
-        found = list(est.renew(known, names, folder, terms, clock=_settings.now, due=due))
-        _network.report(found, folder)
+        terms = est.KeyTerms(pins=pins, pin=_passphrases.pin)
+        found = est.renew(
+            known, names, folder, terms, clock=_settings.now, due=due, rekey=bool(rekey)
+        )
+        _network.report(list(found), folder)
 
 
 def _known(url: str, folder: Path, trust: "ServerTrust | None") -> "KnownServer":

@@ -38,7 +38,8 @@ class KeyTerms:
     uris: Mapping[str, str] | None = None
     pin: Pin = stored_pin
     force: bool = False
-    """Whether there shall be a new request, whatever is installed or waits."""
+    """Whether `enrol` shall make a new request, whatever is installed or waits. The answer to one
+    that waits is then lost."""
 
 
 class WaitingError(PqsecError):

@@ -91,17 +91,18 @@ def renew(  # noqa: PLR0913 -- by name
     *,
     clock: Clock,
     due: timedelta | None = None,
+    rekey: bool = False,
 ) -> Iterator[Obtained | PqsecError]:
     """Bring each installed participant, or each of `names`, up to date with the server.
 
-    One whose certificate is due gets a new one for new keys, the others what the server has for
-    their certificates. One that fails stays as it was, and does not hold up the others. `due` is
-    that of `State.at`. KeystoreError for a participant that is not installed.
+    One whose certificate is due, or any with `rekey`, gets a new one for new keys, the others what
+    the server has for their certificates. One that fails stays as it was, and does not hold up
+    the others. `due` is that of `State.at`. KeystoreError for one that is not installed.
     """
     with one_command(root):
         for name in _chosen(installed(root), names, root):
             try:
-                done = _renewed(known, name, root, terms, clock=clock, due=due)
+                done = _renewed(known, name, root, terms, now=clock(), due=due, rekey=rekey)
                 if KnownServer.at(root) != known:
                     known.save(root)
                 yield done
@@ -155,20 +156,22 @@ def _renewed(  # noqa: PLR0913 -- by name
     root: Path,
     terms: KeyTerms,
     *,
-    clock: Clock,
+    now: datetime,
     due: timedelta | None,
+    rekey: bool,
 ) -> Obtained:
-    before, now = installed(root)[name], clock()
+    before = installed(root)[name]
     held, client = held_by(before), client_with(known, before)
     failed: PqsecError | None = None
     state = State.at(now, held.not_before, held.not_after, due)
-    if terms.force or state.calls_for_renewal or is_requested(root, name):
+    if rekey or state.calls_for_renewal:
         try:
             answer = answer_to(client, ask_for(root, name, terms, held))
             take(answer, name, root, terms, now=now)
             return _outcome(root, name, before)
         except PqsecError as error:
             failed = error  # the newest list and documents are for the old certificate too
+    # If an earlier request was answered, but not installed here, this is that answer.
     with suppress(*([PqsecError] if failed else [])):
         answer = client.get(BUNDLE, etag(name, before, now=now))
         if answer.status == HTTPStatus.OK:

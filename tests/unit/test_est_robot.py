@@ -90,9 +90,10 @@ def enrolled(server, terms, robot):
     return robot
 
 
-def renewed(server, robot, *, at=NOW, names=(), **choices):
+def renewed(server, robot, *, at=NOW, names=(), rekey=False):
     """What became of the only participant."""
-    [found] = renew(known(server), names, robot, KeyTerms(**choices), clock=clock(at))
+    there, terms = known(server), KeyTerms()
+    [found] = renew(there, names, robot, terms, clock=clock(at), rekey=rekey)
     if isinstance(found, PqsecError):
         raise found
     return found
@@ -273,6 +274,30 @@ def test_what_is_due_gets_a_new_certificate_for_new_keys(server, enrolled):
     assert done.certificate.not_after > DUE + 300 * DAY
     assert files(enrolled)[KEY] != before[KEY]
     assert waiting_request(enrolled) is None
+
+
+def test_new_keys_that_the_server_refuses_do_not_disturb_later_runs(server, enrolled):
+    server.reply = lambda handler: handler.command == "POST" and not handler.problem(403, "no")
+    with pytest.raises(VerificationError, match="no"):
+        renewed(server, enrolled, rekey=True)
+    asked = waiting_request(enrolled)
+    assert not renewed(server, enrolled).changed
+    server.reply = None
+    assert renewed(server, enrolled, rekey=True).certificate.spki == asked
+
+
+def test_an_answer_that_was_not_installed_is_found_by_a_run_with_nothing_due(
+    server, enrolled, monkeypatch
+):
+    def stop(*_, **__):
+        raise PqsecError("the disk is full")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(obtaining, "install", stop)
+        with pytest.raises(PqsecError, match="full"):
+            renewed(server, enrolled, rekey=True)
+    asked = waiting_request(enrolled)
+    assert renewed(server, enrolled).certificate.spki == asked
 
 
 def test_the_share_of_life_can_be_chosen(server, enrolled):
