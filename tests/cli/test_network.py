@@ -2,8 +2,13 @@
 
 import json
 import os
+import re
+import shutil
 import stat
+import subprocess
+import sys
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 import pytest
 
@@ -13,12 +18,14 @@ from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.est.obtaining import etag, installed
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Renewal, renew
+from tests.longer import LONG
 from tests.some_keys import some_key
 from tests.unit.est_server import serving
 from tests.unit.tls_sides import certificate, identity, pin
 
 pytestmark = pytest.mark.slow
 
+SYSTEMD = shutil.which("systemd-analyze")
 ROBOT = "/fleet/robot1"
 DAY = timedelta(days=1)
 NOW = datetime.now(UTC).replace(microsecond=0)
@@ -220,3 +227,44 @@ def test_the_bundle_of_the_server_has_the_tag_that_the_robot_computes(enrolled, 
     bundle = Bundle.of(opened, [ROBOT], now=NOW, keys=False)
     files = installed(tmp_path / "r")[ROBOT]
     assert etag(ROBOT, files, now=NOW) == f'"{bundle.sha256}"'
+
+
+# The timer of examples/enrolment-network
+
+UNITS = Path(__file__).parents[2] / "examples/enrolment-network"
+UNIT = "pqsec-renew-robot"
+
+
+def unit(kind):
+    """The settings of the example's unit."""
+    lines = (UNITS / f"{UNIT}.{kind}").read_text().splitlines()
+    return dict(line.split("=", 1) for line in lines if re.match(r"\w+=", line))
+
+
+def test_the_service_of_a_robot_renews_and_reaches_no_other_folder(pqsec, enrolled, server):
+    service = unit("service")
+    program, line = service["ExecStart"].split(" ", 1)
+    assert program == "/usr/bin/pqsec"
+    assert service["ReadWritePaths"] == "/etc/dds"
+    line = line.replace("https://enrol.example:8443", server.url).replace("/etc/dds", "r")
+    assert "is up to date" in pqsec(line).done().out
+
+
+def test_robots_do_not_come_at_once(pqsec):
+    timer = unit("timer")
+    assert (timer["RandomizedDelaySec"], timer["FixedRandomDelay"]) == ("6h", "yes")
+    assert timer["Persistent"] == "yes"
+
+
+@pytest.mark.interop
+@pytest.mark.skipif(not (LONG or SYSTEMD), reason="in .ci/long: it installs Debian's systemd")
+def test_the_units_are_as_systemd_wants_them(tmp_path, requires):
+    tool = requires(SYSTEMD, "systemd-analyze", "apt-get install systemd")
+    units = [tmp_path / f"{UNIT}.{kind}" for kind in ("service", "timer")]
+    for path in units:
+        text = (UNITS / path.name).read_text().replace("/usr/bin/pqsec", sys.executable)
+        path.write_text(text)
+    done = subprocess.run(
+        [tool, "verify", "--man=no", *units], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stdout + done.stderr) == (0, "")

@@ -1,0 +1,1 @@
+../fastdds/hello.cpp
