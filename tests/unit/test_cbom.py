@@ -5,10 +5,9 @@ import hashlib
 import json
 import shutil
 from datetime import timedelta
+from functools import cache
 
 import pytest
-from cyclonedx.schema import SchemaVersion
-from cyclonedx.validation.json import JsonStrictValidator
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, SIGNATURES, load_private_key, pem
 from pqsec_pki.cbom import bill_of
@@ -20,12 +19,19 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.tokens import reference_to
 from tests.unit.keystores import DAY, NOW, made
 
-VALIDATOR = JsonStrictValidator(SchemaVersion.V1_7)
+
+@cache
+def validator():
+    """Imported when it is first used, as in `tests.json_schemas`."""
+    from cyclonedx.schema import SchemaVersion  # noqa: PLC0415 -- see above
+    from cyclonedx.validation.json import JsonStrictValidator  # noqa: PLC0415 -- see above
+
+    return JsonStrictValidator(SchemaVersion.V1_7)
 
 
 def parsed(document):
     """The bill, which must be valid, by bom-ref."""
-    assert VALIDATOR.validate_str(document) is None
+    assert validator().validate_str(document) is None
     return {each["bom-ref"]: each for each in json.loads(document)["components"]}
 
 
@@ -126,7 +132,7 @@ def test_the_same_files_give_the_same_bytes(keystores, bills, tmp_path):
     again = bill_of([copy], now=NOW + timedelta(days=400))
     assert again.document == bills["transition"].document
     timed = bill_of([copy], now=NOW, timestamp=NOW)
-    assert VALIDATOR.validate_str(timed.document) is None
+    assert validator().validate_str(timed.document) is None
     first, second = json.loads(again.document), json.loads(timed.document)
     assert second["metadata"].pop("timestamp") == NOW.isoformat()
     assert "timestamp" not in first["metadata"]

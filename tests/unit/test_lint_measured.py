@@ -48,9 +48,11 @@ def site(  # noqa: PLR0913 -- each is something to get wrong
     folder, *, identity=None, permissions=None, own=None, files=None, document=None, **signing
 ):
     """An enclave as others make it, sound but for what is given."""
-    identity = {"name": "Identity CA", "key": p256(), "ca": True} | (identity or {})
+    identity = with_key({"name": "Identity CA", "key": p256(), "ca": True} | (identity or {}))
     permissions = {"name": "Permissions CA", "key": p256(), "ca": True} | (permissions or {})
+    permissions = with_key(permissions)
     own = {"issuer": identity["name"], "signer": identity["key"], "key": p256()} | (own or {})
+    own = with_key(own)
     authority, document = certificate(**permissions), document or PERMISSIONS
     made = {
         "identity_ca.cert.pem": certificate(**identity),
@@ -103,7 +105,13 @@ def replaced(old, new):
 
 
 def new_rsa(bits):
-    return rsa.generate_private_key(65537, bits)
+    """A key that is made when a test uses it: each worker reads all cases, and runs some."""
+    return lambda: rsa.generate_private_key(65537, bits)
+
+
+def with_key(more):
+    found = more["key"]
+    return more | {"key": found() if callable(found) else found}
 
 
 def has_hash(key):

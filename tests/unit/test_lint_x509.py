@@ -2,6 +2,7 @@
 
 import shutil
 from datetime import UTC, datetime
+from functools import cache
 
 import pytest
 from cryptography import x509
@@ -29,8 +30,6 @@ from tests.unit.version_1 import in_version_1
 
 OWN, IDENTITY, PERMISSIONS = "cert.pem", "identity_ca.cert.pem", "permissions_ca.cert.pem"
 CRL = "public/identity_ca.crl.pem"
-RSA_2048 = rsa.generate_private_key(65537, 2048)
-RSA_1024 = rsa.generate_private_key(65537, 1024)  # noqa: S505 -- to be found
 CA_KEY = p256()
 PSS = {"rsa_padding": padding.PSS(padding.MGF1(hashes.SHA256()), 32)}
 UNKNOWN = x509.UnrecognizedExtension(x509.ObjectIdentifier("1.2.3.4"), b"\5\0")
@@ -49,6 +48,12 @@ SAN = x509.SubjectAlternativeName([x509.DNSName("robot")])
 CERT_SIGN = usage("key_cert_sign", "crl_sign")
 SIGN = usage("digital_signature")
 SHA256_WITH_RSA, SHA1_WITH_RSA = (bytes.fromhex(f"2a864886f70d0101{n}") for n in ("0b", "05"))
+
+
+@cache
+def rsa_key(bits):
+    """Made when a test first uses it: each worker reads all cases, and runs some."""
+    return rsa.generate_private_key(65537, bits)
 
 
 def own(**flaw):
@@ -77,7 +82,7 @@ def end_of(year):
 
 
 def with_sha1():
-    [(_, der)] = unpem(certificate(key=RSA_2048), "certificate")
+    [(_, der)] = unpem(certificate(key=rsa_key(2048)), "certificate")
     return OWN, pem("CERTIFICATE", der.replace(SHA256_WITH_RSA, SHA1_WITH_RSA))
 
 
@@ -113,9 +118,10 @@ FLAWED = {
     "PQS103": [lambda: key(ec.generate_private_key(ec.BrainpoolP256R1())),
                lambda: key(ec.generate_private_key(ec.SECP256K1()))],
     "PQS104": [lambda: own(digest=hashes.SHA384()), lambda: ca(digest=hashes.SHA512()),
-               lambda: ca(key=RSA_2048, **PSS), lambda: permissions_ca(key=RSA_2048, **PSS)],
+               lambda: ca(key=rsa_key(2048), **PSS),
+               lambda: permissions_ca(key=rsa_key(2048), **PSS)],
     "PQS105": [with_sha1],
-    "PQS106": [lambda: key(RSA_1024),
+    "PQS106": [lambda: key(rsa_key(1024)),
                lambda: key(ec.generate_private_key(ec.SECP224R1()))],
     "PQS107": [lambda: own(name="")],
     "PQS110": [lambda: own(end=NOW - DAY / 24), lambda: ca(end=NOW - DAY / 24),
@@ -141,7 +147,7 @@ FLAWED = {
     "PQS132": [lambda: ca(issuer="Root", signer=CA_KEY), forged,
                lambda: permissions_ca(issuer="Root", signer=CA_KEY),
                lambda: permissions_ca(key=p521(), signer=p521()),
-               lambda: ca(key=RSA_2048, signer=RSA_1024, **PSS)],
+               lambda: ca(key=rsa_key(2048), signer=rsa_key(1024), **PSS)],
     "PQS133": [lambda: own(identifiers=False), lambda: ca(identifiers=False)],
     "PQS134": [lambda: old(IDENTITY), lambda: old(PERMISSIONS), lambda: old("ca.cert.pem")],
 }  # fmt: skip
@@ -158,8 +164,8 @@ SOUND = {
     "identity CA": ca,
     "permissions CA": permissions_ca,
     "one CA": lambda: ca("ca.cert.pem"),
-    "RSA-2048": lambda: own(key=RSA_2048),
-    "RSA-2048 CA": lambda: ca(key=RSA_2048),
+    "RSA-2048": lambda: own(key=rsa_key(2048)),
+    "RSA-2048 CA": lambda: ca(key=rsa_key(2048)),
     "P-384 permissions CA, signed with SHA-256": lambda: permissions_ca(key=p384()),
     "RSA-3072 permissions CA": lambda: permissions_ca(key=rsa.generate_private_key(65537, 3072)),
     "P-521 permissions CA, which was not measured": lambda: permissions_ca(key=p521()),
@@ -321,11 +327,11 @@ def test_a_good_revocation_list_is_not_complained_of(lab, end):
 
 
 def test_of_a_list_that_cannot_be_checked_nothing_false_is_said(lab):
-    text = certificate("Test Identity CA", key=RSA_2048, ca=True)
+    text = certificate("Test Identity CA", key=rsa_key(2048), ca=True)
     lab.put(f"public/{IDENTITY}", text)
-    give(lab, crl(key=RSA_2048, **PSS))
+    give(lab, crl(key=rsa_key(2048), **PSS))
     assert "PQS145" not in lab.found()
-    lab.put(CRL, crl(key=RSA_2048, issuer="Other CA", **PSS))
+    lab.put(CRL, crl(key=rsa_key(2048), issuer="Other CA", **PSS))
     assert "PQS145" in lab.found()
 
 
