@@ -14,7 +14,7 @@ class Deadline:
     source: str
 
 
-_CRA = "Cyber Resilience Act, Regulation (EU) 2024/2847, Article 71"
+_CRA = "Cyber Resilience Act, Regulation (EU) 2024/2847 (OJ L, 2024-11-20), Article 71(2)"
 _EU = (
     "NIS Cooperation Group, Coordinated Implementation Roadmap for the Transition to"
     " Post-Quantum Cryptography, part 1, version 1.1, 2025-06-11"
@@ -22,7 +22,7 @@ _EU = (
 DEADLINES = (
     Deadline(
         day=date(2026, 9, 11),
-        what="manufacturers report exploited vulnerabilities and severe incidents",
+        what="manufacturers report exploited vulnerabilities and severe incidents (Article 14)",
         source=_CRA,
     ),
     Deadline(
