@@ -161,4 +161,5 @@ class SignedGrant:
             raise VerificationError(
                 f"the grant of {name} is not signed by the identity CA, with all its keys",
                 code=Code.CONTENT_CHANGED,
+                hint="a new identity CA ends all grants: `pqsec ra add` makes another",
             ) from None

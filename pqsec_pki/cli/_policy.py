@@ -79,13 +79,13 @@ def with_grants(
     specs: list[ParticipantSpec], policy: Path, *, now: datetime
 ) -> list[ParticipantSpec]:
     """The specs with their grants. UsageError for a name without a grant in the policy."""
-    grants = _grants_in(policy, specs[0], now)  # all specs have the same validity
+    grants = grants_in(policy, specs[0], now)  # all specs have the same validity
     if policy.suffix == ".xml":
         _note_completed(policy, {spec.name for spec in specs})
     return [_with_grants(spec, grants, policy) for spec in specs]
 
 
-def _grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:
+def grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:
     """All grants; an SROS2 policy's are completed by what ROS 2 nodes need to start.
 
     SROS2 policies have no domains or validity: those of `spec` are used.

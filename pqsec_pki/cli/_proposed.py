@@ -1,22 +1,26 @@
 """A command that is proposed: its words read again, what it would change, and its run."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import click
 
 from pqsec_pki import _files
+from pqsec_pki.access import permissions_diff
 from pqsec_pki.approvals import ChangedRights
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.cli import _settings
 from pqsec_pki.cli._bundles import load_requests
+from pqsec_pki.cli._policy import grants_in
 from pqsec_pki.cli._settings import APPROVED
+from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.domain import KINDS, CommandReview
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
-from pqsec_pki.keystore import Keystore, key_hashes
-from pqsec_pki.lifecycle import plan_rollover, revocable
+from pqsec_pki.keystore import GROUP, Keystore, key_hashes
+from pqsec_pki.lifecycle import ParticipantSpec, plan_rollover, revocable
 
 _AT_APPLY = ("passphrase_file", "no_passphrase")
 """Options that are given to `pqsec apply`."""
@@ -117,6 +121,7 @@ def _paths(value: object) -> Iterable[Path]:
 def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterator[ChangedRights]:
     """What people should see besides the words: whom they revoke, which keys they certify."""
     now = _settings.now()
+    yield from _members([*params.get("names", ()), *params.get("subjects", ())], keystore)
     match name:
         case "revoke":
             from pqsec_pki.cli.revoke import certificates_in  # noqa: PLC0415 -- only here
@@ -135,9 +140,32 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             yield ChangedRights((), tuple(step.replace(root, "") for step in steps))
         case "issue":
             yield from _certified(each for _, each in load_requests(params["requests"]))
+            domains = params["domains"]
+            on = keystore.domains if domains is None else DomainSet.parse(domains)
+            yield from _of_policy(params["policy"], on, params["validity"])
         case "sign-request sign":
             asked = SignRequest.from_bytes(_files.read(params["file"], limit=MAX_ARCHIVE))
             yield from _certified(asked.requests)
+
+
+def _members(names: Iterable[str], keystore: Keystore) -> Iterator[ChangedRights]:
+    """Of each group: groups change without a line in the ledger."""
+    for name in names:
+        if name.startswith(GROUP):
+            yield ChangedRights(tuple(keystore.named([name])), (f"members of {shown(name)}",))
+
+
+def _of_policy(
+    path: Path | None, domains: DomainSet, validity: timedelta
+) -> Iterator[ChangedRights]:
+    """What a policy gives to each name in it: it may include other files."""
+    if path is None:
+        return
+    spec = ParticipantSpec(name="/any", domains=domains, validity=validity)
+    for grant in grants_in(path, spec, _settings.now()):
+        difference = permissions_diff(None, Permissions(grants=(grant,)))
+        words = (f"{each.sense}: {each.text}" for each in difference.changes)
+        yield ChangedRights((shown(grant.name),), tuple(shown(each, len(each)) for each in words))
 
 
 def _certified(requests: Iterable[CertificateRequest]) -> Iterator[ChangedRights]:

@@ -34,6 +34,10 @@ def add_registration(
                     f"{grant.authority} has a grant: {each.grant}",
                     hint=f"`pqsec ra revoke {grant.authority}` ends it",
                 )
+            if each.grant.digest == grant.digest:  # the ledger has its line, and that of its end
+                raise ExistsError(
+                    "exactly this grant was ended", hint="another second makes it another one"
+                )
         signed = grant.signed_by([*_identity_keys(authorities)])
         transaction.record(grant_entry(signed, now))
     return signed

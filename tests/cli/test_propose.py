@@ -120,6 +120,39 @@ def test_another_file_than_the_approved_one_is_refused(run):
     assert "plan" not in kinds(run)
 
 
+POLICY = """<policy version="0.2.0" xmlns:xi="http://www.w3.org/2001/XInclude"><enclaves>
+<enclave path="/new"><profiles>
+<profile ns="/" node="new"><xi:include href="more.xml" xpointer="xpointer(/profile/*)"/></profile>
+</profiles></enclave></enclaves></policy>"""
+MORE = """<profile ns="/" node="new">
+<topics publish="ALLOW"><topic>pose</topic></topics></profile>"""
+
+
+def test_a_file_that_a_policy_includes_is_approved_too(run):
+    (run.folder / "policy.xml").write_text(POLICY)
+    (run.folder / "more.xml").write_text(MORE)
+    told = run(f"{PROPOSE} issue --policy policy.xml /new").done()
+    assert "  granted: publish 'rt/pose'" in told.out
+    approve(run)
+    (run.folder / "more.xml").write_text(MORE.replace("pose", "stop"))
+    run("apply plan.json --yes").refused(1, "what the command changes is not what was approved")
+    (run.folder / "more.xml").write_text(MORE)
+    run("apply plan.json --yes").done()
+
+
+def test_a_group_that_changes_without_a_line_is_seen(run):
+    """The groups are in a file of the keystore, and not in the ledger."""
+    with (run.folder / "domain.yaml").open("a") as file:
+        file.write("groups: {hall: [/r1]}\n")
+    run("apply --yes").done()
+    told = run(f"{PROPOSE} permit @hall --publish load").done()
+    assert "/r1:\n  members of @hall\n" in told.out
+    approve(run)
+    groups = run.folder / "k/groups.json"
+    groups.write_text(groups.read_text().replace("/r1", "/r2"))
+    run("apply plan.json --yes").refused(1, "what the command changes is not what was approved")
+
+
 def test_another_state_than_the_approved_one_is_refused(run):
     run(f"{PROPOSE} revoke '/r*'").done()
     approve(run)
@@ -155,10 +188,13 @@ def signed_by_alice(run, change):
     value = json.loads(path.read_text())["proposal"]
     change(value)
     made = PlanProposal.from_json(value)
-    key = load_private_key((run.folder / "alice.pem").read_bytes(), None)
-    first = approval_by(made.digest, "alice", key, now=datetime.now(UTC))
-    path.write_bytes(proposal_file(made, first))
-    approve(run)
+
+    def approval(name):
+        key = load_private_key((run.folder / f"{name}.pem").read_bytes(), None)
+        return approval_by(made.digest, name, key, now=datetime.now(UTC))
+
+    path.write_bytes(proposal_file(made, approval("alice")))
+    (run.folder / "plan.json.bob.approval").write_bytes(approval("bob").to_file())
 
 
 @pytest.mark.parametrize(
@@ -167,6 +203,8 @@ def signed_by_alice(run, change):
         (lambda plan: plan.update(needs=[]), "what the command changes is not"),
         (lambda plan: plan.update(rights=[]), "what the command changes is not"),
         (lambda plan: plan["steps"][0].update(why="revoke /r2"), "is another one"),
+        (lambda plan: plan.update(expires="2026-01-01T00:00:00+00:00"), "the plan expired"),
+        (lambda plan: plan["steps"][0].update(action="revoke"), ""),
         (lambda plan: plan["steps"][0].update(why="demo k2"), "`pqsec demo` cannot be proposed"),
         (lambda plan: plan["steps"][0].update(why="revoke /r1 -k other"), "leave -k out"),
         (lambda plan: plan["steps"][0].update(why="revoke '"), "cannot be read"),
@@ -177,7 +215,7 @@ def test_what_the_proposer_misstates_is_refused(run, change, words):
     run(f"{PROPOSE} revoke /r1").done()
     signed_by_alice(run, change)
     refusal = run("apply plan.json --yes")
-    assert refusal.code in {1, 2}
+    assert refusal.code in {1, 2, 3}
     assert words in refusal.err
     assert "plan" not in kinds(run)
 
