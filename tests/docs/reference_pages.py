@@ -19,6 +19,7 @@ from pqsec_pki.attacks.attack import CERTIFICATE, DOCUMENT  # noqa: E402
 from pqsec_pki.problems import Code  # noqa: E402
 from tests.docs import decisions, rules_page, wire_sizes, wire_tables, yaml_keys  # noqa: E402
 from tests.docs.rows import table  # noqa: E402
+from tests.proof.pages import RESULTS  # noqa: E402
 
 FOLDER = ROOT / "docs/reference"
 MADE = "Generated from {} by `python tests/docs/reference_pages.py`: do not edit this page."
@@ -37,9 +38,10 @@ def pages() -> dict[str, str]:
 
 
 def generated_pages() -> set[Path]:
-    """All generated pages of docs/reference, also those of the other scripts."""
+    """All generated pages, also those of the other scripts."""
     measured = FOLDER / "measured.md"  # tests/interop/test_trials.py
-    return {FOLDER / name for name in pages()} | {rules_page.PAGE, wire_sizes.PAGE, measured}
+    others = {rules_page.PAGE, wire_sizes.PAGE, measured, RESULTS}
+    return {FOLDER / name for name in pages()} | others
 
 
 def _page(source: str, title: str, *parts: str) -> str:
