@@ -56,6 +56,7 @@ COMMANDS = {
         "enrolment_token",
         "Create, list and revoke tokens, with which robots enrol over a network.",
     ),
+    "requests": ("requests", "Decide about robots that asked the server without a token."),
     "sign-request": ("sign_request", "Sign requests with CAs on an offline machine."),
     "ra": ("ra", "Let others order that new participants are enrolled, within limits."),
     "renew": ("renew", "Renew certificates and permissions, with the same rights as before."),
@@ -120,7 +121,7 @@ GROUPS = {
     ),
     "Robots with their own keys, and offline CAs": (
         "request bundle-key bundle install rollback enrol receipt sign-request ra serve"
-        " enrolment-token"
+        " enrolment-token requests"
     ),
     "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
     "Check and explain": (

@@ -3,7 +3,8 @@
 Two processes, which `running.py` starts by `serve.yaml` (`configuration.py`; `beginning.py` writes
 a first one). The front answers HTTP: `listening.py`, `channel.py`, `front.py`, `routes.py`,
 `limiting.py`, `asking.py` and `metrics.py`. The signer (`signer.py`) has the CA keys: it decides
-who is admitted (`admission.py`, `token_lines.py`) and answers from the keystore (`desk.py`).
+who is admitted (`admission.py`, `token_lines.py`,
+`waiting.py`) and answers from the keystore (`desk.py`).
 Between them are calls (`call.py`).
 """
 
@@ -22,13 +23,18 @@ if TYPE_CHECKING:
         revoke_tokens,
         token_states,
     )
+    from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRequest, decide
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "APPROVAL",
+    "REFUSAL",
     "ServerSettings",
     "TokenState",
+    "WaitingRequest",
     "begin_server",
+    "decide",
     "read_settings",
     "record_token",
     "revoke_tokens",

@@ -33,17 +33,20 @@ from pqsec_pki.server.token_lines import (
     by_token,
     presented,
 )
+from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRoom, decision_on
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
+_APPROVED = "approval"
+"""The name of an admission by somebody who approved the request."""
 _NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
 
 
 class NotAdmittedError(PqsecError):
     """The request is refused, with this status of HTTP."""
 
-    def __init__(self, status: int, words: str) -> None:
+    def __init__(self, status: int, words: str, *, retry_after: int = 0) -> None:
         super().__init__(words)
-        self.status = status
+        self.status, self.retry_after = status, retry_after
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +97,10 @@ class Admission:
     now: datetime
     any_time: bool
     """Whether certificates are renewed that are not due."""
+    waiting: WaitingRoom | None = None
+    """Where requests without any credential wait; None if they are refused."""
+    retry: int = 60
+    """Seconds until the client of such a request shall ask again."""
     taken: Counter[str] = field(default_factory=Counter)
     """What was admitted since the ledger was read: names, and the tokens that admitted them."""
 
@@ -115,17 +122,32 @@ class Admission:
         hashes = key_hashes(keys.key, keys.alternative)
         holder.refuse_used(self.now)
         self._refuse_state(held, holder, hashes)
+        if holder.by == _APPROVED:
+            self._refuse_undecided(request, name, call)
         self._take(name, holder)
         line = admission_entry(holder.by, name, request, self.now)
         spec = replace(member.spec(), keys=keys)
         return Admitted(name, holder.by, spec, line, replaces=held is not None)
+
+    def _refuse_undecided(self, request: CertificateRequest, name: str, call: SignerCall) -> None:
+        """NotAdmittedError unless somebody approved the request; it waits if nobody decided."""
+        decision = decision_on(self.ledger, request, name)
+        if decision == REFUSAL:
+            raise NotAdmittedError(403, "the request was refused")
+        if decision != APPROVAL and self.waiting:
+            if not self.waiting.add(request, name, call.address, self.now):
+                raise NotAdmittedError(503, "too many requests wait", retry_after=self.retry)
+            words = f"the request waits for approval: SHA-256 {request.fingerprint}"
+            raise NotAdmittedError(202, words, retry_after=self.retry)
 
     def _take(self, name: str, holder: Requester) -> None:
         """NotAdmittedError if the name, or the last use of the token, was just given to another."""
         token = holder.token
         last = token is not None and token.used + self.taken[holder.by] >= token.uses
         if last or self.taken[name]:
-            raise NotAdmittedError(503, "another request for the same is being answered")
+            raise NotAdmittedError(
+                503, "another request for the same is being answered", retry_after=1
+            )
         self.taken.update((name, holder.by))
 
     def holder_of(self, call: SignerCall) -> Requester:
@@ -144,7 +166,7 @@ class Admission:
             return self._of_certificate(Certificate.from_der(call.certificate))
         if call.kind is CallKind.REENROL:
             raise NotAdmittedError(401, "show the current certificate as client certificate")
-        return Requester("", "")
+        return Requester("", _APPROVED if self.waiting else "")
 
     def _of_token(self, call: SignerCall) -> Requester:
         found = presented(self.ledger, call.token, call.secret)
@@ -217,6 +239,8 @@ class Admission:
             return
         if held.revoked:
             raise NotAdmittedError(403, f"{held.name} was revoked")
+        if holder.by == _APPROVED:
+            return  # who approved it saw that it replaces a certificate
         if holder.token is not None:
             if not holder.token.replaces and held.keys != keys:
                 raise NotAdmittedError(

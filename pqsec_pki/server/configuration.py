@@ -33,6 +33,7 @@ from pqsec_pki.documents.parts_yaml import (
 )
 from pqsec_pki.errors import located
 from pqsec_pki.est import checked_url
+from pqsec_pki.server.waiting import WaitingRoom
 
 _ADDRESS = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9a-zA-Z.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
@@ -62,6 +63,8 @@ class ServerLimits:
     """For the TLS handshake and a whole request: from the first octet to the last."""
     body: int = 64 << 10
     """Octets of a request; of a receipt 16 times as many."""
+    waiting: int = 500
+    """Requests that wait until somebody decides."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,13 +79,17 @@ class ServerSettings:
     keystore: Path
     domain: Path
     state: Path
-    """The folder of the signer's socket."""
+    """The folder of the signer's socket, and of requests that wait."""
     tls: tuple[TlsFiles, ...]
     classical: bool
     """Whether clients without post-quantum key agreement, and with TLS 1.2, may come."""
     passphrase_file: Path | None
     front_user: str
     """The user of the process that faces the network; empty for the signer's own."""
+    approval: bool
+    """Whether requests without a token wait until somebody decides."""
+    retry: int
+    """Seconds until a robot whose request waits shall ask again."""
     renew_any_time: bool
     """Whether to renew certificates that are not due."""
     token_validity: timedelta
@@ -92,6 +99,11 @@ class ServerSettings:
     def socket(self) -> Path:
         """Where the signer listens."""
         return self.state / "signer.sock"
+
+    @property
+    def room(self) -> WaitingRoom:
+        """Where requests wait."""
+        return WaitingRoom(self.state / "waiting", self.limits.waiting)
 
 
 def read_settings(path: Path) -> ServerSettings:
@@ -114,6 +126,8 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "classical": boolean,
         "passphrase_file": file,
         "front_user": text,
+        "approval": boolean,
+        "retry_seconds": _positive,
         "renew": partial(chosen, names=("due", "any-time")),
         "token_validity": duration,
         "limits": _limits,
@@ -122,6 +136,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
     if not found["tls"]:
         raise refused(item, "tls: no certificate is named")
     found["renew_any_time"] = found.pop("renew", "due") == "any-time"
+    found["retry"] = found.pop("retry_seconds", 60)
     return {
         "listen": (("127.0.0.1", 8443),),
         "status": None,
@@ -129,6 +144,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "classical": False,
         "passphrase_file": None,
         "front_user": "",
+        "approval": False,
         "token_validity": timedelta(days=7),
         "limits": ServerLimits(),
         **found,

@@ -37,9 +37,7 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle import issue
 from pqsec_pki.server.admission import Admission, Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
-
-_AGAIN = 1
-"""Seconds until a client shall ask again, whose request another one of the same moment delays."""
+from pqsec_pki.server.waiting import WaitingRoom
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -51,6 +49,8 @@ class Desk:
     desired: Desired
     clock: Callable[[], datetime]
     any_time: bool = False
+    waiting: WaitingRoom | None = None
+    retry: int = 60
 
     def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         """The answer to each call; those that issue are one change of the keystore."""
@@ -92,7 +92,15 @@ class Desk:
             ]
 
     def _admission(self, ledger: Ledger) -> Admission:
-        return Admission(self.keystore, ledger, self.desired, self.clock(), self.any_time)
+        return Admission(
+            self.keystore,
+            ledger,
+            self.desired,
+            self.clock(),
+            self.any_time,
+            self.waiting,
+            self.retry,
+        )
 
     def _issue(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
         """Issue in one change; if that fails, one by one. Returns the errors by name."""
@@ -120,6 +128,8 @@ class Desk:
     ) -> SignerAnswer:
         if admitted.spec and (error := failures.get(admitted.name)):
             return _failed(error)
+        if admitted.line and self.waiting:
+            self.waiting.remove(admitted.line.sha256)
         note = f"{admitted.name} by {admitted.by}{'' if admitted.spec else ', again'}"
         if call.kind is CallKind.REQUEST:
             return _guarded(lambda: self._bundle(admitted.name, numbers, note))
@@ -193,8 +203,7 @@ def _guarded(answer: Callable[[], SignerAnswer]) -> SignerAnswer:
     try:
         return answer()
     except NotAdmittedError as error:
-        again = _AGAIN if error.status == HTTPStatus.SERVICE_UNAVAILABLE else 0
-        return SignerAnswer(status=error.status, detail=str(error), retry_after=again)
+        return SignerAnswer(status=error.status, detail=str(error), retry_after=error.retry_after)
     except (MalformedError, VerificationError) as error:
         return SignerAnswer(status=HTTPStatus.BAD_REQUEST, detail=str(error))
     except PqsecError as error:

@@ -20,7 +20,7 @@ from twisted.web.http import datetimeToString
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import MalformedError
-from pqsec_pki.est import EST, PROBLEM, RECEIPTS, from_base64
+from pqsec_pki.est import EST, PROBLEM, RECEIPTS, TEXT, from_base64
 from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.channel import LimitedRequest
@@ -134,7 +134,7 @@ class Exchange:
         ]
         if answer.status not in {204, 304}:
             found.append(("Content-Length", str(len(body))))
-            found.append(("Content-Type", PROBLEM if answer.detail else answer.media_type))
+            found.append(("Content-Type", _media_type_of(answer)))
         if answer.status == HTTPStatus.OK and self.request.path.startswith(f"{EST}/".encode()):
             found.append(("Content-Transfer-Encoding", "base64"))  # for clients older than RFC 8951
         if answer.status == HTTPStatus.UNAUTHORIZED:
@@ -213,10 +213,18 @@ def _media_type(request: LimitedRequest) -> str:
     return str(given[0]).partition(";")[0].strip().lower()
 
 
+def _media_type_of(answer: SignerAnswer) -> str:
+    if not answer.detail:
+        return answer.media_type
+    return PROBLEM if answer.status >= HTTPStatus.BAD_REQUEST else TEXT
+
+
 def _body(answer: SignerAnswer) -> bytes:
     """What is sent; for an error a problem of RFC 9457."""
     if not answer.detail:
         return answer.body
+    if answer.status < HTTPStatus.BAD_REQUEST:
+        return f"{answer.detail}\n".encode()
     try:
         title = HTTPStatus(answer.status).phrase
     except ValueError:

@@ -51,6 +51,8 @@ def run_signer(
             desired=read_domain(found.domain),
             clock=clock,
             any_time=found.renew_any_time,
+            waiting=found.room if found.approval else None,
+            retry=found.retry,
         )
 
     make_state(settings)

@@ -10,6 +10,7 @@ import signal
 import socket
 import struct
 import time
+import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -28,6 +29,7 @@ SECONDS = 5.0
 _BACKLOG = 1024
 _PEER = struct.Struct("iII")
 _POLL = 0.5
+_FAILED = "the server could not do it: its log says why"
 
 
 @dataclass(slots=True)
@@ -98,11 +100,11 @@ class SignerProcess:
     def _answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         try:
             answers = self.desk.answers(calls)
-        except PqsecError as error:
-            detail = "the server could not do it: its log says why"
-            answers = [
-                SignerAnswer(status=503, detail=detail, retry_after=10, note=str(error))
-            ] * len(calls)
+        except Exception as error:  # noqa: BLE001 -- one call must not end the server
+            known = isinstance(error, PqsecError)
+            note = str(error) if known else traceback.format_exc()
+            failed = SignerAnswer(status=503, detail=_FAILED, retry_after=10, note=note)
+            answers = [failed] * len(calls)
         for call, answer in zip(calls, answers, strict=True):
             if answer.note:
                 self.log(f"{call.kind} from {call.address}: {answer.status} {answer.note}")

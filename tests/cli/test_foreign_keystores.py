@@ -57,6 +57,9 @@ WITHOUT = {
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),
     "domain schema",
+    "serve",
+    *(f"enrolment-token {each}" for each in ("create", "list", "revoke")),
+    *(f"requests {each}" for each in ("approve", "list", "refuse")),
     *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),
     *(f"permissions {each}" for each in ("import", "new", "read", "render", "schema")),
 }

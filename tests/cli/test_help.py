@@ -201,6 +201,8 @@ ELSEWHERE = {
     "plugin status": "is of the user's home: tests/cli/test_plugin.py",
     "plugin uninstall": "is of the user's home: tests/cli/test_plugin.py",
     "pqsec renew --from https://enrol.example:8443 --dir /etc/dds": "likewise",
+    "requests approve": "needs a request that waits: tests/unit/test_serve.py",
+    "requests refuse": "likewise",
     "serve": "does not end: tests/unit/test_serve.py",
     "try": "needs a stack: tests/interop/test_try.py",
     "verify-handshake": "minutes, with the matrix: tests/cli/test_handshake_modes.py",
@@ -312,6 +314,9 @@ NO = {
     "renew": "/fleet/robot1 --keep-key",
     "report": "-o signed.html --signer robots/enclaves/talker/cert.pem"
     " robots/enclaves/talker/key.pem",
+    "requests approve": "012345678 --config bad.yaml",
+    "requests list": "--config bad.yaml",
+    "requests refuse": "012345678 --config bad.yaml",
     "rollback": "",
     "serve": "--config bad.yaml",
     "sign-governance": "bad.xml",

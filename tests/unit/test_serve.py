@@ -1,6 +1,7 @@
 """The server, as clients meet it: who gets a certificate, and who does not."""
 
 import base64
+import json
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -163,3 +164,52 @@ def test_a_revoked_certificate_gets_nothing(server, tmp_path):
 )
 def test_a_path_is_compared_and_not_decoded(server, method, path, status):
     assert server.send(method, path).status == status
+
+
+@pytest.fixture(scope="module")
+def asking(tmp_path_factory):
+    limits = {"waiting": 4}
+    made = Server(
+        tmp_path_factory.mktemp("asking"), datetime.now(UTC), approval=True, limits=limits
+    )
+    with made.running():
+        yield made
+
+
+def decided(server, word, request):
+    words = (word, request.fingerprint[:12], "--config", "serve.yaml", "--json")
+    done = server.cli("requests", *words)
+    return [each["sha256"] for each in json.loads(done.stdout)["requests"]]
+
+
+def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
+    robot = Robot(asking, tmp_path, "/fleet/r1")
+    for _ in range(2):
+        reply = asking.ask(robot.request)
+        assert (reply.status, reply.headers["retry-after"]) == (202, "60")
+        assert robot.request.fingerprint in reply.body.decode()
+    head = asking.keystore.head
+    assert (
+        robot.request.fingerprint in asking.cli("requests", "list", "--config", "serve.yaml").stdout
+    )
+    assert asking.keystore.head == head
+    assert decided(asking, "approve", robot.request) == [robot.request.fingerprint]
+    replies = [asking.ask(robot.request) for _ in range(2)]
+    assert [each.status for each in replies] == [200, 200]
+    assert replies[0].headers["etag"] == replies[1].headers["etag"]
+    told = asking.cli("requests", "list", "--config", "serve.yaml").stdout
+    assert told == "no request waits\n"
+    other = robot.new()
+    assert asking.ask(other).status == 202
+    assert decided(asking, "refuse", other) == [other.fingerprint]
+    reply = asking.ask(other)
+    assert (reply.status, reply.detail) == (403, "the request was refused")
+
+
+def test_only_so_many_requests_wait(asking, tmp_path):
+    robot = Robot(asking, tmp_path, "/fleet/r2")
+    statuses = [asking.ask(robot.new()).status for _ in range(4)]
+    assert statuses == [202, 202, 202, 503]
+    robot = Robot(asking, tmp_path, "/fleet/r3")
+    assert [asking.ask(robot.new()).status for _ in range(2)] == [202, 503]
+    assert asking.ask(robot.new(), token=asking.token("/fleet/r3")).status == 200

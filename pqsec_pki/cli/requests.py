@@ -1,0 +1,106 @@
+"""pqsec requests: decide about robots that asked the server without a token."""
+
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.keystore import Keystore
+from pqsec_pki.server import APPROVAL, REFUSAL, WaitingRequest, decide, read_settings
+
+_config = click.option(
+    "--config",
+    "file",
+    required=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="The server's configuration: serve.yaml.",
+)
+_ids = click.argument("ids", nargs=-1, required=True, metavar="SHA256...")
+
+
+@_help.group()
+@_settings.command_options
+def requests() -> None:
+    """Decide about robots that asked the server without a token."""
+
+
+@requests.command(
+    "list",
+    examples={"List what waits": "pqsec requests list --config serve.yaml"},
+    exit_codes={
+        0: "the requests are listed",
+        1: "the configuration is not valid",
+        3: "the server's folder cannot be read",
+    },
+)
+@_config
+@_settings.command_options
+def list_(file: Path) -> None:
+    """List the requests that wait, oldest first.
+
+    Compare the SHA-256 with what the robot shows (`pqsec inspect request.csr`): anybody can send
+    a request, for any name.
+    """
+    _print(read_settings(file).room.all(), "")
+
+
+@requests.command(
+    "approve",
+    examples={
+        "Approve a request, by its SHA-256": (
+            "pqsec requests approve 0123456789ab --config serve.yaml"
+        ),
+    },
+    exit_codes={
+        0: "approved: the robot gets its certificate when it asks again",
+        1: "the configuration is not valid",
+        3: "the keystore cannot be changed",
+    },
+)
+@_ids
+@_config
+@_settings.command_options
+def approve(ids: tuple[str, ...], file: Path) -> None:
+    """Approve requests. If the robot has a certificate for another key, it is replaced.
+
+    SHA256 are 8 or more digits of the request's SHA-256. The ledger gets the decision, with who
+    made it.
+    """
+    _decide(ids, file, APPROVAL)
+
+
+@requests.command(
+    "refuse",
+    examples={
+        "Refuse a request": "pqsec requests refuse 0123456789ab --config serve.yaml",
+    },
+    exit_codes={
+        0: "refused for ever: the robot must make a new request",
+        1: "the configuration is not valid",
+        3: "the keystore cannot be changed",
+    },
+)
+@_ids
+@_config
+@_settings.command_options
+def refuse(ids: tuple[str, ...], file: Path) -> None:
+    """Refuse requests, which are removed; the ledger gets the decision."""
+    _decide(ids, file, REFUSAL)
+
+
+def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
+    settings = read_settings(file)
+    keystore = Keystore.open(settings.keystore, to_change=True)
+    done = decide(keystore, settings.room, ids, kind, now=_settings.now())
+    _print(done, "approved" if kind == APPROVAL else "refused")
+
+
+def _print(found: list[WaitingRequest], word: str) -> None:
+    rows = [
+        (each.name, each.sha256, each.address, f"{each.received:%Y-%m-%d %H:%M}", word)
+        for each in found
+    ]
+    heads = ("NAME", "SHA-256", "FROM", "RECEIVED (UTC)", "")
+    lines = _printing.table(heads, rows) if rows else ["no request waits"]
+    _printing.emit({"requests": [each.to_json() for each in found]}, lines)
