@@ -53,7 +53,10 @@ class Result:
     def errors(self) -> list[str]:
         """The problems on stderr, which must be all there is but for one hint at the end."""
         if self.err.startswith("{"):
-            return [each["message"] for each in json.loads(self.err)["errors"]]
+            return [
+                f"{each['subject']}: {each['message']}" if each["subject"] else each["message"]
+                for each in json.loads(self.err)["errors"]
+            ]
         *lines, last = self.err.splitlines()
         if not last.startswith("pqsec: hint: "):
             lines.append(last)

@@ -208,7 +208,7 @@ def test_json_tells_what_is_wrong(pqsec, keystore, options, problems):
     assert said.json == {"ok": False, "file": GOVERNANCE, "problems": problems}
     assert said.errors == [f"{GOVERNANCE}: {problem}" for problem in problems]
     told = pqsec(f"verify {GOVERNANCE} {options}").refused(1, problems=len(problems))
-    assert told.err == said.err
+    assert told.errors == said.errors
 
 
 # Another CA
