@@ -4,10 +4,11 @@ import json
 from pathlib import Path
 from typing import Any
 
+from pqsec_pki import __version__
 from pqsec_pki._files import exists, read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import KeystoreError, MalformedError, UsageError
+from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, shown
 from pqsec_pki.keystore._address import LedgerAddress
 
 _IN_A_FILE, _IN_A_DATABASE = 1, 2
@@ -55,5 +56,10 @@ def read_ledger(path: Path) -> LedgerAddress | None:
 def _read(path: Path) -> dict[str, Any]:
     settings: dict[str, Any] = json.loads(read(path))
     if settings["format"] != (_IN_A_DATABASE if "ledger" in settings else _IN_A_FILE):
-        raise KeystoreError("made by another version of pqsec", where=path)
+        raise KeystoreError(
+            f"the keystore has format {shown(str(settings['format']))}, which this pqsec"
+            f" {__version__} does not know",
+            where=path,
+            hint="use the version of pqsec that made it, or a newer one",
+        )
     return settings

@@ -1,0 +1,105 @@
+"""The wheel and the source distribution: complete, and the same bytes whenever they are built."""
+
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[2]
+BUILT = ["pqsec_pki", "templates", "schemas", "docs/man", "pyproject.toml", "README.md", "LICENSE"]
+
+
+def build(source, folder, *what, umask=0o022):
+    """Build in a copy, at another path and with other times."""
+    copy = folder / "checkout"
+    ignored = shutil.ignore_patterns("__pycache__", ".*", "build")
+    if not copy.exists():
+        for name in BUILT:
+            path = source / name
+            copy.mkdir(parents=True, exist_ok=True)
+            if path.is_dir():
+                shutil.copytree(path, copy / name, ignore=ignored, copy_function=shutil.copyfile)
+            else:
+                shutil.copyfile(path, copy / name)
+    command = [sys.executable, "-m", "hatchling", "build", "-d", folder, *what]
+    subprocess.run(command, cwd=copy, umask=umask, check=True, capture_output=True)
+    return sorted(path for path in folder.iterdir() if path.is_file())
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory):
+    """The source distribution and the wheel."""
+    folder = tmp_path_factory.mktemp("first")
+    wheel, source = build(ROOT, folder)
+    return source, wheel
+
+
+def test_two_builds_have_the_same_bytes(built, tmp_path):
+    again = build(ROOT, tmp_path / "another/place", umask=0o077)
+    assert [path.name for path in again] == sorted(path.name for path in built)
+    for path in built:
+        assert path.read_bytes() == (tmp_path / "another/place" / path.name).read_bytes()
+
+
+def test_the_wheel_of_the_source_distribution_is_that_of_the_checkout(built, tmp_path):
+    source, wheel = built
+    with tarfile.open(source) as archive:
+        archive.extractall(tmp_path, filter="data")
+    [unpacked] = tmp_path.iterdir()
+    [again] = build(unpacked, tmp_path / "again", "-t", "wheel")
+    assert again.read_bytes() == wheel.read_bytes()
+
+
+def test_the_wheel_has_all_that_pqsec_needs_and_nothing_else(built):
+    names = zipfile.ZipFile(built[1]).namelist()
+    version = built[1].name.split("-")[1]
+    listed = ("git", "ls-files", "-z", "--cached", "pqsec_pki", "schemas", "templates", "docs/man")
+    done = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=False)
+    if done.returncode:
+        pytest.skip("no checkout of git")
+    wanted = set()
+    for path in filter(None, done.stdout.split("\0")):
+        if path.startswith("docs/man/"):
+            wanted.add(f"pqsec-{version}.data/data/share/man/man1/{Path(path).name}")
+        else:
+            wanted.add(path if path.startswith("pqsec_pki/") else f"pqsec_pki/{path}")
+    about = {each for each in names if ".dist-info/" in each}
+    assert {each for each in names if each not in about} == wanted
+    assert {each.split("/", 1)[1] for each in about} == {
+        *("METADATA", "RECORD", "WHEEL", "entry_points.txt", "licenses/LICENSE")
+    }
+    assert "pqsec_pki/py.typed" in names
+
+
+def test_the_metadata_name_licence_python_and_extras(built):
+    archive = zipfile.ZipFile(built[1])
+    [name] = [each for each in archive.namelist() if each.endswith("METADATA")]
+    metadata = archive.read(name).decode()
+    for line in ("License-Expression: Apache-2.0", "Requires-Python: >=3.11", "Typing :: Typed"):
+        assert line in metadata
+    assert {"cbom", "hsm", "plot"} <= {
+        line.split()[1] for line in metadata.splitlines() if line.startswith("Provides-Extra: ")
+    }
+
+
+def test_wheels_on_a_stick_install_without_a_network(built, tmp_path):
+    """As docs/how-to/install.md says: `pip wheel` there, `pip install --no-index` here."""
+    pip = [sys.executable, "-m", "pip"]
+    wheels = tmp_path / "wheels"
+    subprocess.run([*pip, "wheel", "-q", "-w", wheels, built[1]], check=True)
+    subprocess.run([sys.executable, "-m", "venv", tmp_path / "venv"], check=True)
+    nowhere = {name: each for name, each in os.environ.items() if not name.startswith("PIP_")}
+    nowhere |= {"PIP_CONFIG_FILE": os.devnull, "https_proxy": "http://127.0.0.1:9"}
+    install = [tmp_path / "venv/bin/pip", "install", "-q", "--no-index", "--find-links", wheels]
+    subprocess.run([*install, "pqsec"], check=True, env=nowhere)
+    done = subprocess.run(
+        [tmp_path / "venv/bin/pqsec", "demo", "robots"],
+        cwd=tmp_path, check=True, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "ok    authenticated" in done.stdout
+    assert (tmp_path / "venv/share/man/man1/pqsec.1").is_file()
