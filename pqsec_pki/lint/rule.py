@@ -98,8 +98,8 @@ class Rule:
 
     @property
     def family(self) -> str:
-        """The family that reports name."""
-        return FAMILIES[self.id[3]]
+        """The family that reports name; of a rule of another package, how its id begins."""
+        return FAMILIES[self.id[3]] if self.id.startswith("PQS") else self.id[:-3].lower()
 
     def to_json(self) -> dict[str, object]:
         """The rule for --json."""

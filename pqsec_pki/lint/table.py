@@ -1,4 +1,4 @@
-"""All rules, from all modules in this folder and below."""
+"""All rules, from all modules in this folder and below, and of other packages."""
 
 from importlib import import_module
 from pathlib import Path
@@ -6,12 +6,15 @@ from pkgutil import iter_modules
 
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import rule
+from pqsec_pki.lint.foreign import load_foreign_rules
 
 _HERE = Path(__file__).parent
 # Not by the names of files: an installation may have compiled modules only.
 for _folder in iter_modules([str(_HERE)]):
     for _module in iter_modules([str(_HERE / _folder.name)]) if _folder.ispkg else ():
         import_module(f"pqsec_pki.lint.{_folder.name}.{_module.name}")
+
+load_foreign_rules()
 
 RULES = dict(sorted(rule.RULES.items()))
 """By id, sorted."""
