@@ -47,10 +47,7 @@ class Cluster:
             cluster.run("initdb", "-D", cluster.data, "-A", "trust", "-U", "owner", "--no-sync",
                         "-E", "UTF8", "--locale", "C")  # fmt: skip
             rules = ["local all all trust", "local replication all trust"]
-            rules += [
-                "hostssl all all 127.0.0.1/32 scram-sha-256",
-                "host all all 127.0.0.1/32 scram-sha-256",
-            ]
+            rules.append("host all all 127.0.0.1/32 scram-sha-256")
             cluster.write("pg_hba.conf", "\n".join(rules) + "\n")
             cluster.start()
             try:
@@ -73,9 +70,10 @@ class Cluster:
         _give(path)
         return path
 
-    def start(self) -> None:
+    def start(self, **more: str) -> None:
         options = {
             **_OPTIONS,
+            **more,
             "port": self.port,
             "listen_addresses": "127.0.0.1",
             "unix_socket_directories": self.folder,
@@ -90,12 +88,17 @@ class Cluster:
     def kill(self) -> None:
         """SIGKILL to all its processes."""
         first = int((self.data / "postmaster.pid").read_text().split()[0])
+        os.kill(first, signal.SIGSTOP)  # it begins no process more
         children = Path(f"/proc/{first}/task/{first}/children").read_text().split()
-        for process in (first, *map(int, children)):
+        processes = (first, *map(int, children))
+        for process in processes:
             with suppress(ProcessLookupError):
                 os.kill(process, signal.SIGKILL)
-        while any(Path(f"/proc/{each}/stat").exists() and _runs(each) for each in children):
+        while any(map(_runs, processes)):
             time.sleep(0.01)
+        # Where nobody waits for them, as in a container, the next start takes them for running.
+        for path in (self.data / "postmaster.pid", *self.folder.glob(".s.PGSQL.*.lock")):
+            path.unlink()
 
     def run(self, program: str, *arguments: object) -> None:
         """One of PostgreSQL's programs, as a user that may run them."""

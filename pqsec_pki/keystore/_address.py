@@ -13,7 +13,7 @@ from pqsec_pki.errors import UsageError, shown
 
 _URL = re.compile(
     r"postgres(?:ql)?://(?:(?P<user>[^\s:@/?#]+)(?P<password>:[^\s@/?#]*)?@)?"
-    r"(?P<hosts>[^\s@/?#]*)(?:/(?P<database>[^\s/?#]*))?(?:\?(?P<query>[^\s#]*))?"
+    r"(?P<hosts>[^\s@/?#]*)(?:/(?P<database>[^\s@/?#]*))?(?:\?(?P<query>[^\s#]*))?"
 )
 _TAKEN = frozenset((
     *("service", "host", "port", "dbname", "user", "passfile", "connect_timeout"),

@@ -10,7 +10,7 @@ with one rename. A reader changes nothing, and refuses a keystore with unfinishe
 If the ledger is in a database, its commit is that of the change: the staged folder is renamed to
 `.prepared` first, and to `.journal` after it. If the process is killed between the two, the next
 command asks the database for the change's last line: if that is there, the moves are finished;
-if not, the staged folder is removed (ADR 28).
+if not, the staged folder is removed (ADR 29).
 
 Links in existing folders are only recorded, and created during the moves: to add a link to
 ten thousand enclaves, no enclave is staged.

@@ -1,21 +1,16 @@
 """Ledgers in a PostgreSQL server of Debian: two machines, kills, cuts, rights, and moves."""
 
-import os
 import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
-from pqsec_pki.algorithms import profile_named
-from pqsec_pki.documents import DomainSet
 from pqsec_pki.domain import apply, plan, read_domain
 from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError, VerificationError
 from pqsec_pki.keystore import (
     Keystore,
-    LedgerAddress,
     State,
     _postgres,
     _postgres_schema,
@@ -25,19 +20,18 @@ from pqsec_pki.keystore import (
     status,
 )
 from pqsec_pki.lifecycle import (
-    ParticipantSpec,
     Rollover,
     Scope,
     apply_rollover,
-    issue,
     move_ledger,
     plan_rollover,
     renew,
     revoke,
 )
 from tests.interop.cut import Cutter
+from tests.interop.shared_ledger import check_whole, copied, create, issue_to, settled
 from tests.postgres import PROGRAMS, WRITER, Cluster
-from tests.unit.killing import NOW, YEAR, survives
+from tests.unit.killing import NOW, YEAR, disturbed_calls, survives
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
 
@@ -47,26 +41,6 @@ def cluster(requires) -> Iterator[Cluster]:
     requires(PROGRAMS, "PostgreSQL", "apt-get install postgresql")
     with Cluster.created() as made:
         yield made
-
-
-def create(root: Path, ledger: LedgerAddress | None = None) -> Keystore:
-    return Keystore.create(
-        root,
-        profile_named("classical"),
-        name="Lab",
-        domains=DomainSet.of(0),
-        validity=10 * YEAR,
-        passphrase=None,
-        ledger=ledger,
-        now=NOW,
-    )
-
-
-def issue_to(root: Path, *names: str, force: bool = False) -> Keystore:
-    keystore = Keystore.open(root, to_change=True)
-    specs = [ParticipantSpec(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
-    issue(keystore, keystore.unlock(None), specs, now=NOW, force=force)
-    return keystore
 
 
 @pytest.fixture
@@ -85,21 +59,6 @@ def first(cluster, database, tmp_path) -> Keystore:
 def second(first, tmp_path) -> Keystore:
     """The keystore of another machine."""
     return copied(first, tmp_path / "second")
-
-
-def copied(keystore: Keystore, root: Path) -> Keystore:
-    shutil.copytree(keystore.root, root, symlinks=True)
-    return Keystore.open(root, to_change=True)
-
-
-def check_whole(*machines: Keystore) -> None:
-    """One chain, one head; no serial twice; each file here has its line."""
-    for each in machines:
-        lines, _ = audit(each)
-        serials = [line.serial for line in each.ledger() if line.kind == "participant"]
-        assert len(set(serials)) == len(serials)
-        assert checked_head(each).head.size <= lines
-    assert len({each.head for each in machines}) == 1
 
 
 # One ledger
@@ -277,9 +236,9 @@ def test_a_reader_reads_and_adds_nothing(first, cluster, database):
 WRITER_PROCESS = """
 import sys
 from pathlib import Path
-from tests.interop.test_postgres import issue_to
+from tests.interop.shared_ledger import issue_to
 root, name = sys.argv[1:]
-for number in range(3):
+for number in range(2):
     issue_to(Path(root), f"/{name}/n{number}")
 """
 
@@ -292,27 +251,17 @@ def test_eight_writers_on_two_machines_make_one_chain(first, second):
     ]
     assert [each.wait(240) for each in commands] == [0] * 8
     check_whole(first, second)
-    assert len([each for each in first.ledger() if each.kind == "participant"]) == 1 + 8 * 3
-
-
-def settled(keystore: Keystore, name: str) -> bool:
-    """Whether the participant was issued, after recovery; files and lines must agree."""
-    Keystore.recover(keystore.root)
-    assert not [*keystore.root.glob(".journal"), *keystore.root.glob(".prepared")]
-    check_whole(keystore)
-    in_ledger = any(each.name == name for each in keystore.ledger())
-    assert keystore.has(name) == in_ledger
-    return in_ledger
+    assert len([each for each in first.ledger() if each.kind == "participant"]) == 1 + 8 * 2
 
 
 def test_a_writer_that_is_killed_at_any_call_leaves_all_or_nothing(first):
-    done, calls, step = [], 1, 1 if os.environ.get("PQSEC_LONG") else 9
-    while not done or not done[-1][0]:
+    issued = []
+    for calls in disturbed_calls(9):
         name = f"/n{calls}"
         ended = survives(calls, lambda name=name: issue_to(first.root, name))
-        done.append((ended, settled(first, name)))
-        calls += step
-    issued = [there for _, there in done]
+        issued.append(settled(first, name))
+        if ended:
+            break
     assert issued == sorted(issued)
     assert set(issued) == {False, True}
 
