@@ -330,6 +330,29 @@ def test_a_ledger_is_moved_into_a_database_and_back(tmp_path, cluster, database)
     check_whole(keystore, other)
 
 
+def test_a_move_that_is_killed_at_any_call_is_made_or_not(tmp_path, cluster):
+    original, moved = tmp_path / "original", []
+    create(original)
+    before = issue_to(original, "/alice").lines()
+    for calls in disturbed_calls(9):
+        keystore = copied(Keystore.open(original), tmp_path / f"{calls}")
+        address = cluster.address(cluster.database())
+        ended = survives(calls, lambda k=keystore, a=address: move_ledger(k, a, now=NOW))
+        Keystore.recover(keystore.root)
+        check_whole(keystore)
+        moved.append(keystore.ledger_address == address)
+        assert keystore.lines()[: len(before)] == before
+        has_file = (keystore.root / "private/ledger.sqlite3").exists()
+        assert has_file is not moved[-1]
+        if ended:
+            break
+        if not moved[-1]:
+            move_ledger(keystore, address, now=NOW)
+            check_whole(keystore)
+    assert moved == sorted(moved)
+    assert set(moved) == {False, True}
+
+
 def test_a_copy_on_another_machine_joins_its_ledger(tmp_path, cluster, database):
     create(tmp_path / "first")
     first = issue_to(tmp_path / "first", "/alice")
