@@ -179,14 +179,16 @@ def test_a_passphrase_file_that_cannot_be_is_refused(pqsec, locked, tmp_path, na
 
 
 def at_terminal(folder: Path, line: str, *answers: bytes) -> Result:
-    """`pqsec line` at a terminal of its own, stdout to a file; each prompt gets an answer."""
+    """`pqsec line` at a terminal of its own, without colours, stdout to a file; each prompt gets an
+    answer."""
     out = folder / "out"
     command = [sys.executable, "-m", "pqsec_pki", *line.split()]
+    environment = {**clean_environment(), "NO_COLOR": "1"}
     child, terminal = pty.fork()
     if child == 0:
         os.chdir(folder)
         os.dup2(os.open(out, os.O_WRONLY | os.O_CREAT), 1)
-        os.execve(sys.executable, command, clean_environment())  # noqa: S606 -- no shell wanted
+        os.execve(sys.executable, command, environment)  # noqa: S606 -- no shell wanted
     screen, left = b"", list(answers)
     with suppress(OSError):  # EIO: the other side closed
         while chunk := os.read(terminal, 1024):

@@ -70,7 +70,15 @@ def test_who_is_revoked_or_gone_comes_last_and_is_not_due(keystore):
     assert found == {"/p300": "due", "/p9": "revoked", "/p90": "gone"}
     assert list(found) == ["/p300", "/p9", "/p90"]
     assert standing.due == ["/p300"]
-    counts = {"expired": 0, "previous-ca": 0, "due": 1, "valid": 0, "revoked": 1, "gone": 1}
+    counts = {
+        "expired": 0,
+        "previous-ca": 0,
+        "due": 1,
+        "valid": 0,
+        "revoked": 1,
+        "gone": 1,
+        "elsewhere": 0,
+    }
     assert standing.counts() == counts
 
 
