@@ -32,7 +32,7 @@ from pqsec_pki.est.obtaining import (
     take,
 )
 from pqsec_pki.est.paths import BUNDLE, RECEIPT_TYPE, RECEIPTS
-from pqsec_pki.keystore import State, expanded
+from pqsec_pki.keystore import State, expanded, regular_name
 
 Clock = Callable[[], datetime]
 
@@ -73,6 +73,7 @@ def enrol(  # noqa: PLR0913 -- by name
     KeystoreError if it is under others. Errors as of `requests`, `answer_to` and `take`; what is
     installed stays as it was.
     """
+    name = regular_name(name)
     with one_command(root):
         before = installed(root).get(name, {})
         if terms.force or is_requested(root, name) or not _is_enrolled(before, root, terms, clock):
@@ -141,7 +142,7 @@ def _is_enrolled(before: Enclave, root: Path, terms: KeyTerms, clock: Clock) -> 
 
 def _chosen(there: Iterable[str], names: Iterable[str], root: Path) -> list[str]:
     known = sorted(there)
-    chosen = expanded(names, known, {}) or known
+    chosen = [*map(regular_name, expanded(names, known, {}))] or known
     if missing := [each for each in chosen if each not in known] or ([] if known else [str(root)]):
         raise KeystoreError(
             f"nothing is installed in {root} for {', '.join(missing)}",

@@ -1,8 +1,14 @@
 """A robot's key in a real PKCS#11 token: its request, and the installation of the answer."""
 
+import time
+from datetime import UTC, datetime
+
 import pytest
 
+from pqsec_pki.keystore import Keystore
 from tests.interop.tokens import PIN
+from tests.unit.est_server import serving
+from tests.unit.tls_sides import identity, pin
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
 
@@ -61,6 +67,23 @@ def test_neither_the_key_nor_the_pin_is_in_a_file_or_an_output(ca):
     assert PIN not in said
     assert not [path for path in files if PIN.encode() in path.read_bytes()]
     assert not [path for path in files if b"PRIVATE KEY" in path.read_bytes()]
+
+
+def test_a_key_in_the_token_enrols_over_a_network_and_is_told_that_it_cannot_renew(ca):
+    keystore = Keystore.open(ca.folder / "k", to_change=True)
+    with serving(keystore, identity("ecdsa-p256")) as server:
+        server.anybody, server.now = True, datetime.now(UTC)
+        trust = ("--server-pin", pin(server.shown), "--trust-first", "--profile", "classical")
+        enrol = ("enrol", server.url, "--name", "robot", *trust, *IN_TOKEN)
+        assert "has a new certificate" in ca.pqsec(*enrol)
+        assert (in_use(ca) / "key.pem").read_text().startswith("-----BEGIN PKCS#11")
+        said = ca.pqsec("renew", "--from", server.url, exit_code=3)
+        assert "TLS needs the key in a file, and this one is in a token" in said
+        before = (in_use(ca) / "cert.pem").read_bytes()
+        time.sleep(1.1)  # the next certificate is to be newer, in seconds
+        server.now = datetime.now(UTC)
+        assert "has a new certificate" in ca.pqsec(*enrol, "--force")
+        assert (in_use(ca) / "cert.pem").read_bytes() != before
 
 
 def test_a_key_that_is_there_is_used_and_stays_when_the_request_fails(ca):

@@ -1,8 +1,9 @@
 """The client against servers that do what they should not."""
 
 import socket
+import ssl
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import timedelta
 
 import pytest
@@ -11,7 +12,7 @@ from OpenSSL import SSL
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.est import EstClient, ServerTrust, client, server_context
 from tests.unit.est_server import serving
-from tests.unit.tls_sides import HOST, identity, pin
+from tests.unit.tls_sides import HOST, certificate, identity, pin
 
 PATH = "/pqsec/v1/bundle"
 
@@ -216,3 +217,39 @@ def test_a_server_that_drips_holds_nobody_beyond_the_limit(shown, handshake, mon
 def test_the_secret_is_in_no_repr():
     made = EstClient(server="https://a", trust=ServerTrust(), secret=("id", "geheim"))
     assert "geheim" not in repr(made)
+
+
+@contextmanager
+def classical_server(place):
+    """A server of Python's ssl module, which has no GROUP on Debian 12; it says yes once."""
+    chain, key = certificate("ecdsa-p256")
+    for name, data in (("chain.pem", chain), ("key.pem", key)):
+        (place / name).write_bytes(data)
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(place / "chain.pem", place / "key.pem")
+    context.set_ecdh_curve("prime256v1")
+    listening, asked = socket.create_server((HOST, 0)), []
+
+    def serve():
+        connected, _ = listening.accept()
+        with suppress(OSError), context.wrap_socket(connected, server_side=True) as tls:
+            asked.append(tls.recv(1 << 16))
+            tls.sendall(b"HTTP/1.1 200 OK\r\nContent-Length: 3\r\n\r\nyes")
+
+    thread = threading.Thread(target=serve)
+    thread.start()
+    with listening:
+        yield f"https://{HOST}:{listening.getsockname()[1]}", asked
+        thread.join()
+
+
+def test_a_server_without_post_quantum_key_agreement_gets_no_secret(shown, place):
+    trust, secret = ServerTrust(pins=frozenset({pin(shown)})), ("a", "geheim")
+    refused = pytest.raises(VerificationError, match="not on X25519MLKEM768")
+    with classical_server(place) as (url, asked), refused:
+        EstClient(server=url, trust=trust, secret=secret).get(PATH)
+    assert asked in ([], [b""])
+    with classical_server(place) as (url, asked):
+        answer = EstClient(server=url, trust=trust, secret=secret, classical=True).get(PATH)
+    assert answer.body == b"yes"
+    assert b"Authorization: Basic " in asked[0]

@@ -126,6 +126,14 @@ def test_a_robot_enrols_with_keys_that_stay_on_it(server, terms, robot, keystore
     assert KnownServer.at(robot) == known(server)
 
 
+def test_a_name_may_be_written_as_people_do(server, terms, robot):
+    done = enrol(client_of(server), ROBOT.removeprefix("/"), robot, terms, clock=clock())
+    assert done.name == ROBOT
+    assert renewed(server, robot, names=[ROBOT.removeprefix("/")]).name == ROBOT
+    with pytest.raises(PqsecError, match="name"):
+        enrol(client_of(server), "../x", robot, terms, clock=clock())
+
+
 def test_the_receipt_is_delivered_once(server, enrolled):
     deliver_receipt(enrolled)
     deliver_receipt(enrolled)
