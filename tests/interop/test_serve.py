@@ -2,6 +2,7 @@
 
 import base64
 import os
+import shutil
 import subprocess
 from datetime import UTC, datetime
 
@@ -20,11 +21,12 @@ def run(folder, *command, data=None):
     return done.returncode, done.stdout, done.stderr
 
 
-def test_curl_and_openssl_enrol_and_renew_by_est(tmp_path):
+def test_curl_and_openssl_enrol_and_renew_by_est(requires, tmp_path):
     """Debian's own: OpenSSL 3.0 and TLS 1.3 without ML-KEM, so `classical: true`."""
     server = Server(
         tmp_path, datetime.now(UTC), profile="classical", classical=True, renew="any-time"
     )
+    requires(shutil.which("curl"), "curl", "apt-get install curl")
     name, token = "/fleet/r1", server.token("/fleet/r1")
     with server.running():
         url = f"https://{HOST}:{server.port}{EST}"

@@ -1,11 +1,15 @@
 """The server among clients that mean harm, and when it is killed: honest robots are served."""
 
+import shutil
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
 from datetime import UTC, datetime
+from pathlib import Path
 
 import pytest
 from OpenSSL import SSL
@@ -170,3 +174,45 @@ def test_after_a_kill_the_same_request_has_one_answer(tmp_path, moment):
         assert replies[0].headers["etag"] == replies[1].headers["etag"]
     lines = [each for each in made.keystore.ledger() if each.name == "/fleet/r1"]
     assert [each.kind for each in lines] == ["participant", "permissions"]
+
+
+def test_two_services_share_a_socket_that_systemd_made(tmp_path):
+    made = Server(tmp_path, datetime.now(UTC))
+    command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(made.config), "--part"]
+    handed = 'exec 3<&"$0"; LISTEN_PID=$$ LISTEN_FDS=1 exec "$@"'
+    with socket.socket() as listener, (tmp_path / "log").open("wb") as log:
+        listener.bind((HOST, 0))
+        listener.listen()
+        made.port = listener.getsockname()[1]
+        number = listener.fileno()
+        front = subprocess.Popen(
+            ["bash", "-c", handed, str(number), *command, "front"], pass_fds=[number], stderr=log
+        )
+        signer = subprocess.Popen([*command, "signer"], stderr=log)
+    try:
+        until(lambda: made.page("/readyz") == 200)
+        robot = Robot(made, tmp_path / "robot")
+        assert made.ask(robot.request, token=made.token("/fleet/r1")).status == 200
+        signer.send_signal(signal.SIGTERM)
+        assert signer.wait(PATIENCE) == 0
+        reply = made.ask(robot.new(), token=made.token("/fleet/r2"))
+        assert (reply.status, reply.headers["retry-after"]) == (503, "10")
+        assert (made.page("/healthz"), made.page("/readyz")) == (200, 503)
+    finally:
+        signer.kill()
+        front.send_signal(signal.SIGTERM)
+        assert front.wait(PATIENCE) == 0
+        signer.wait(PATIENCE)
+
+
+@pytest.mark.skipif(shutil.which("systemd-analyze") is None, reason="systemd is not installed")
+@pytest.mark.parametrize("unit", ["pqsec-serve.service", "pqsec-signer.service"])
+def test_the_units_are_exposed_to_little(unit):
+    folder = Path(__file__).parents[2] / "examples/serve"
+    command = ["systemd-analyze", "security", "--offline=yes", "--threshold=15", folder / unit]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    text = (folder / unit).read_text()
+    words = text.split("ExecStart=/opt/pqsec/bin/pqsec ")[1].splitlines()[0].split()
+    assert words[:1] == ["serve"]
+    assert ("PrivateNetwork=yes" in text) == ("signer" in unit)
