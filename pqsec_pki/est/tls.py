@@ -14,7 +14,6 @@ from ipaddress import ip_address
 from typing import Self
 
 from cryptography import x509
-from cryptography.hazmat.primitives.serialization import Encoding
 from OpenSSL import SSL, crypto
 
 from pqsec_pki._dataclass import dataclass
@@ -132,8 +131,11 @@ def refuse_classical(connection: SSL.Connection) -> None:
 
 
 def peer_certificate(connection: SSL.Connection) -> Certificate | None:
-    """The peer's certificate, whose key it has shown to have; nothing else of it is verified."""
-    found = connection.get_peer_certificate(as_cryptography=True)
+    """The peer's certificate, whose key it has shown to have; nothing else of it is verified.
+
+    MalformedError for one that OpenSSL reads, and pqsec does not.
+    """
+    found = connection.get_peer_certificate()
     return _certificate(found) if found else None
 
 
@@ -179,7 +181,7 @@ def _accept(*_: object) -> bool:
 
 def _pinned(pins: frozenset[str]) -> Check:
     def check(_by: SSL.Connection, found: crypto.X509, _error: int, depth: int, _ok: int) -> bool:
-        pin = spki_pin(_certificate(found.to_cryptography()))
+        pin = spki_pin(_certificate(found))
         if depth == 0 and pin not in pins:
             raise VerificationError(f"the server's key is not a pinned one: it has SHA-256 {pin}")
         return True
@@ -192,7 +194,7 @@ def _issued(host: str) -> Check:
         if not ok:
             why = _WHY.get(error, f"none of the trusted CAs issued it (OpenSSL's error {error})")
             raise VerificationError(f"the server's certificate is refused: {why}")
-        if depth == 0 and not _is_for(_certificate(found.to_cryptography()), host):
+        if depth == 0 and not _is_for(_certificate(found), host):
             raise VerificationError(f"the server's certificate is not for {shown(host)}")
         return True
 
@@ -215,5 +217,6 @@ def _authorities(pem: bytes) -> list[x509.Certificate]:
     return [x509.load_der_x509_certificate(each.der) for each in Certificate.all_from_pem(pem)]
 
 
-def _certificate(found: x509.Certificate) -> Certificate:
-    return Certificate.from_der(found.public_bytes(Encoding.DER))
+def _certificate(found: crypto.X509) -> Certificate:
+    """As OpenSSL read it, parsed again; MalformedError where OpenSSL takes more than we do."""
+    return Certificate.from_der(crypto.dump_certificate(crypto.FILETYPE_ASN1, found))

@@ -87,7 +87,10 @@ class LimitedChannel(HTTPChannel):
         self.factory.answer(request)
 
     def peer(self) -> bytes:
-        """The client's certificate, whose key it has shown to have, in DER; empty for none."""
+        """The client's certificate, whose key it has shown to have, in DER; empty for none.
+
+        MalformedError for one that pqsec does not read.
+        """
         handle = getattr(self.transport, "getHandle", None)
         connection = handle() if handle else None
         if not isinstance(connection, SSL.Connection):
@@ -119,8 +122,9 @@ class LimitedChannel(HTTPChannel):
         self.loseConnection()
 
     def allContentReceived(self) -> None:  # noqa: N802
-        """The request came in time."""
-        self._end()
+        """The request came in time; a refused one has no answer that could begin the next time."""
+        if not self.requests[-1].refused:
+            self._end()
         super().allContentReceived()
 
     def requestDone(self, request: Request) -> None:  # noqa: N802

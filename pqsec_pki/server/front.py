@@ -64,7 +64,7 @@ class Front:
 
     def answer(self, request: LimitedRequest) -> None:
         """Answer the request, now or when the signer has."""
-        exchange = Exchange(self, request, request.channel.address, request.channel.peer())
+        exchange = Exchange(self, request, request.channel.address)
         route = Route.of(request.path)
         refused = self._refused(request, route, exchange.address)
         if refused or route is None:
@@ -103,7 +103,6 @@ class Exchange:
     front: Front
     request: LimitedRequest
     address: str
-    certificate: bytes = field(repr=False)
     begun: float = field(default_factory=time.monotonic)
 
     def finish(self, answer: SignerAnswer) -> None:
@@ -165,7 +164,7 @@ class Exchange:
 
 
 def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCall:
-    """What to ask the signer; MalformedError for what is not a request, or no credentials."""
+    """What to ask the signer; MalformedError for what is not a request, or wrong credentials."""
     token, secret = _credentials(request)
     return SignerCall(
         kind=route.kind,
@@ -173,7 +172,7 @@ def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCa
         address=exchange.address,
         token=token,
         secret=secret,
-        certificate=exchange.certificate,
+        certificate=request.channel.peer(),
         body=_content(route, request.content.read()),
     )
 

@@ -5,14 +5,21 @@ The ledger has the SHA-256 of the secret, which is random: nobody finds the secr
 
 from collections.abc import Iterable, Iterator
 from datetime import datetime
-from pathlib import PurePosixPath
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import KeystoreError, UsageError, shown
 from pqsec_pki.est import EnrolmentToken, is_secret
-from pqsec_pki.keystore import Entry, Keystore, Ledger, change, is_several, regular_name
+from pqsec_pki.keystore import (
+    Entry,
+    Keystore,
+    Ledger,
+    change,
+    is_several,
+    matching,
+    regular_name,
+)
 
 TOKEN, TOKEN_END, ADMISSION = "enrolment-token", "enrolment-token-end", "admission"
 """Kinds of lines. An admission has the SHA-256 of the request, and its name says by what."""
@@ -54,7 +61,7 @@ class TokenState:
 
     def admits(self, name: str) -> bool:
         """Whether it is for the participant called `name`."""
-        return any(PurePosixPath(name).match(each) for each in self.names.split())
+        return any(matching(each, [name]) for each in self.names.split())
 
     def end(self, now: datetime) -> str:
         """Why it admits nobody any more; empty if it does."""

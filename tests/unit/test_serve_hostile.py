@@ -14,7 +14,11 @@ from pathlib import Path
 import pytest
 from OpenSSL import SSL
 
+from pqsec_pki.algorithms import pem
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.est import TlsIdentity
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
+from tests.unit.tls_sides import certificate
 
 ENEMY = "127.0.0.66"
 LIMITS = {
@@ -96,6 +100,29 @@ def test_a_header_decides_before_a_body_is_read(server, lines, status):
         assert (reply_in(found).status if found else None) == status
 
 
+@pytest.mark.parametrize(
+    "sent",
+    [
+        b"Content-Length: 20001\r\n\r\n" + b"x" * 20_001,
+        b"Transfer-Encoding: chunked\r\n\r\n0\r\n\r\n",
+    ],
+)
+def test_a_refused_request_that_is_complete_keeps_no_connection_open(server, sent):
+    with server.connect() as link:
+        link.sendall(b"POST /pqsec/v1/requests HTTP/1.1\r\nHost: x\r\n" + sent)
+        until(lambda: "pqsec_serve_connections 0\n" in server.page("/metrics", text=True))
+
+
+def test_a_client_certificate_that_only_openssl_reads_is_refused_in_words(server):
+    chain, key = certificate("ecdsa-p256", since=datetime.now(UTC))
+    der = bytearray(Certificate.from_pem(chain).der)
+    der[der.index(b"\xa0\x03\x02\x01\x02\x02") + 7] |= 0x80  # its serial number, now negative
+    shown = TlsIdentity.of(pem("CERTIFICATE", bytes(der)), key)
+    reply = server.send("GET", "/pqsec/v1/bundle", identity=shown)
+    assert (reply.status, "serial number is not positive" in reply.detail) == (400, True)
+    assert "internal error" not in server.log
+
+
 def test_too_many_requests_are_refused_for_their_address_only(server, tmp_path):
     statuses = [server.send("GET", "/nothing", source="127.0.0.77").status for _ in range(70)]
     assert statuses[:50] == [404] * 50
@@ -110,12 +137,13 @@ def test_a_stolen_token_gives_nothing_after_the_robot(server, tmp_path):
     robot, token = Robot(server, tmp_path / "a", "/fleet/r2"), server.token("/fleet/r2")
     assert server.ask(robot.request, token=token).status == 200
     thief = Robot(server, tmp_path / "b", "/fleet/r2")
-    other = server.token("/fleet/*", uses=2)
+    other, unrooted = server.token("/fleet/*", uses=2), server.token("r*")  # that is /r*
     head = server.keystore.head
     assert server.ask(thief.request, token=token, source=ENEMY).status == 401
     refused = server.ask(thief.request, token=other, source=ENEMY)
     assert (refused.status, "must be made with --replace" in refused.detail) == (409, True)
     assert server.ask(Robot(server, tmp_path / "c", "/other").request, token=other).status == 403
+    assert server.ask(thief.request, token=unrooted, source=ENEMY).status == 403
     assert server.keystore.head == head
 
 
