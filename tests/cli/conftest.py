@@ -90,7 +90,8 @@ class Result:
 def clean_environment(**extra: str) -> dict[str, str]:
     """The environment, less what pqsec listens to; streams are buffered, as Python does it."""
     dropped = ("PQSEC_", "ROS_SECURITY_", "PYTHONUNBUFFERED")
-    return {k: v for k, v in os.environ.items() if not k.startswith(dropped)} | extra
+    kept = {k: v for k, v in os.environ.items() if not k.startswith(dropped)}
+    return {**kept, "NO_COLOR": "1", **extra}  # test_terminal.py is about colours
 
 
 def command_of(words: list[str]) -> click.Command:
