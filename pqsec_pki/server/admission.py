@@ -33,7 +33,7 @@ from pqsec_pki.server.token_lines import (
     by_token,
     presented,
 )
-from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRoom, decision_on
+from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRoom, decision_on, is_late
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
@@ -134,6 +134,9 @@ class Admission:
         decision = decision_on(self.ledger, request, name)
         if decision == REFUSAL:
             raise NotAdmittedError(403, "the request was refused")
+        if decision == APPROVAL and is_late(self.ledger, request, name):
+            words = f"{name} got a certificate since the request was approved: send a new request"
+            raise NotAdmittedError(403, words)
         if decision != APPROVAL and self.waiting:
             if not self.waiting.add(request, name, call.address, self.now):
                 raise NotAdmittedError(503, "too many requests wait", retry_after=self.retry)

@@ -6,6 +6,7 @@ from what the keystore has then, so the answer to a repeated request is the same
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from datetime import datetime
 from functools import cached_property
 from http import HTTPStatus
@@ -47,6 +48,8 @@ class Desk:
     keystore: Keystore
     authorities: Authorities
     desired: Desired
+    version: tuple[int, ...]
+    """Of the domain file, before it was read."""
     clock: Callable[[], datetime]
     any_time: bool = False
     waiting: WaitingRoom | None = None
@@ -184,6 +187,14 @@ class Desk:
     def _holder(self, call: SignerCall) -> Requester:
         with self.keystore.open_ledger() as ledger:
             return self._admission(ledger).holder_of(call)
+
+
+def file_version(path: Path) -> tuple[int, ...]:
+    """What is another after the file was changed; empty if it is not there."""
+    with suppress(OSError):
+        found = path.stat()
+        return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+    return ()
 
 
 def _decided(deciding: Admission, call: SignerCall) -> Admitted | SignerAnswer:

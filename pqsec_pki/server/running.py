@@ -19,12 +19,14 @@ from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.server.configuration import ServerSettings, read_settings
-from pqsec_pki.server.desk import Desk
+from pqsec_pki.server.desk import Desk, file_version
 from pqsec_pki.server.signer import SignerProcess, listening, users_of
 
 _FIRST_GIVEN = 3
 """The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
 _BACKLOG = 1024
+_NOT_PASSED = ("PG", "PQSEC_")
+"""Variables that the front does not get: they may have the password of the ledger's database."""
 _END = 10
 """Seconds that the front gets to finish its answers."""
 
@@ -45,10 +47,12 @@ def run_signer(
 
     def load() -> Desk:
         found = read_settings(settings.path)
+        version = file_version(found.domain)
         return Desk(
             keystore=Keystore.open(settings.keystore, to_change=True),
             authorities=authorities,
             desired=read_domain(found.domain),
+            version=version,
             clock=clock,
             any_time=found.renew_any_time,
             waiting=found.room if found.approval else None,
@@ -106,6 +110,7 @@ def _started(settings: ServerSettings) -> "subprocess.Popen[bytes]":
     groups: Sequence[str | int] | None = [] if user else None
     process = subprocess.Popen(  # noqa: S603 -- this program
         [*command, "--part", "front"],
+        env={name: each for name, each in os.environ.items() if not name.startswith(_NOT_PASSED)},
         pass_fds=passed,
         user=user,
         group=pwd.getpwnam(user).pw_gid if user else None,

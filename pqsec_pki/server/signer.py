@@ -20,7 +20,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
 from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
-from pqsec_pki.server.desk import Desk
+from pqsec_pki.server.desk import Desk, file_version
 
 MOST = 64
 """Calls that are answered together: the last one waits for all of them."""
@@ -45,6 +45,8 @@ class SignerProcess:
     log: Callable[[str], None]
     pass_on: Callable[[], None]
     """Tells the front to read the configuration again too."""
+    tried: tuple[int, ...] = ()
+    """The version of the domain file that was read last; it may have a mistake."""
     stopping: bool = False
     reloading: bool = False
 
@@ -60,6 +62,7 @@ class SignerProcess:
                 self.reloading = False
                 self._load()
             if links := self._arrived():
+                self._follow()
                 self._serve(links)
 
     def _stop(self, _number: int, _frame: FrameType | None) -> None:
@@ -67,6 +70,13 @@ class SignerProcess:
 
     def _reload(self, _number: int, _frame: FrameType | None) -> None:
         self.reloading = True
+
+    def _follow(self) -> None:
+        """Read a domain file that was changed: rights that it takes must not come back."""
+        found = file_version(self.desk.desired.path)
+        if found not in {self.desk.version, self.tried}:
+            self.tried = found
+            self._load()
 
     def _load(self) -> None:
         """Use the new configuration; the old one stays if that has a mistake."""

@@ -118,6 +118,13 @@ def decision_on(ledger: Ledger, request: CertificateRequest, name: str) -> str:
     return ""
 
 
+def is_late(ledger: Ledger, request: CertificateRequest, name: str) -> bool:
+    """Whether the approval of the request is older than the newest certificate of `name`."""
+    approved, issued = ledger.numbers(APPROVAL), ledger.numbers("participant")
+    lines = ledger.of_name("participant", name)[-1:]
+    return any(issued[each.sha256] > approved.get(request.fingerprint, 0) for each in lines)
+
+
 def decide(
     keystore: Keystore, room: WaitingRoom, ids: Iterable[str], kind: str, *, now: datetime
 ) -> list[WaitingRequest]:

@@ -206,6 +206,16 @@ def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
     assert (reply.status, reply.detail) == (403, "the request was refused")
 
 
+def test_an_old_approval_replaces_no_certificate_that_was_issued_since(asking, tmp_path):
+    forgotten = Robot(asking, tmp_path / "a", "/other").request
+    assert asking.ask(forgotten).status == 202
+    assert decided(asking, "approve", forgotten) == [forgotten.fingerprint]
+    robot = Robot(asking, tmp_path / "b", "/other")
+    assert asking.ask(robot.request, token=asking.token("/other")).status == 200
+    reply = asking.ask(forgotten)
+    assert (reply.status, "got a certificate since" in reply.detail) == (403, True)
+
+
 def test_only_so_many_requests_wait(asking, tmp_path):
     robot = Robot(asking, tmp_path, "/fleet/r2")
     statuses = [asking.ask(robot.new()).status for _ in range(4)]

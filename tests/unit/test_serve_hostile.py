@@ -181,6 +181,28 @@ def test_a_new_configuration_leaves_open_connections_alone(tmp_path):
     assert made.process.returncode == 0
 
 
+def test_rights_that_the_domain_file_takes_do_not_come_back_with_a_renewal(tmp_path):
+    made = Server(tmp_path, datetime.now(UTC), renew="any-time")
+    with made.running():
+        robot = Robot(made, tmp_path / "robot", "/fleet/r1")
+        assert made.ask(robot.request, token=made.token("/fleet/r1")).status == 200
+        identity = robot.identity(made.bundle("/fleet/r1"))
+        domain = tmp_path / "domain.yaml"
+        domain.write_text(domain.read_text().replace(", subscribe: [rt/cmd]", ""))
+        assert made.ask(robot.new(), identity=identity).status == 200
+        permissions = made.bundle("/fleet/r1").enclaves["/fleet/r1"]["permissions.p7s"]
+        assert (b"rt/fleet" in permissions, b"rt/cmd" in permissions) == (True, False)
+
+
+def test_the_process_that_faces_the_network_gets_no_password(tmp_path, monkeypatch):
+    monkeypatch.setenv("PGPASSWORD", "secret of the database")
+    with Server(tmp_path, datetime.now(UTC)).running() as made:
+        children = Path(f"/proc/{made.process.pid}/task/{made.process.pid}/children").read_text()
+        found = [Path(f"/proc/{each}/environ").read_bytes() for each in children.split()]
+    assert found
+    assert not any(b"secret of the database" in each for each in found)
+
+
 @pytest.mark.parametrize("moment", [0.01, 0.05, 0.1, 0.2])
 def test_after_a_kill_the_same_request_has_one_answer(tmp_path, moment):
     made = Server(tmp_path, datetime.now(UTC))
