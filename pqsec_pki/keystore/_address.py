@@ -4,6 +4,7 @@ It names no secret: passwords are where libpq looks for them (a password file, o
 and the settings are read by everybody who may read the keystore.
 """
 
+import os
 import re
 from typing import Self
 from urllib.parse import parse_qsl
@@ -63,9 +64,10 @@ class LedgerAddress:
 
     @property
     def is_local(self) -> bool:
-        """Whether all its hosts are this machine, or it names none."""
+        """Whether all its hosts are this machine, or neither it nor the environment names one."""
         found = _URL.fullmatch(self.url)
         hosts = self.parameters.get("host", found["hosts"] if found else "")
+        hosts = hosts or os.environ.get("PGHOST", "")
         return all(_LOCAL.fullmatch(each) for each in hosts.split(","))
 
 

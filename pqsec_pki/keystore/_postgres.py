@@ -48,6 +48,7 @@ _SESSION_SQL = (
 _COLUMNS = f"number, {_table.COLUMNS}, chain"
 _SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger ORDER BY number"  # noqa: S608 -- no outside text
 _COPY = f"COPY pqsec.ledger ({_COLUMNS}) FROM STDIN"
+_MODE, _VERIFIED = "PGSSLMODE", "verify-full"
 _BATCH = 5000
 """Rows of one answer."""
 _NOTHING = "nothing was changed: run the command again when the database answers"
@@ -62,7 +63,7 @@ class PostgresLedger:
         self.address = address
         self._copy: bytes | None = None
         self._in_change = False
-        with self._errors():
+        with self._errors(), _service_verified(address):
             self._connection = psycopg.connect(
                 make_conninfo(address.url, **_defaults(address)),
                 autocommit=True,
@@ -195,9 +196,26 @@ def _defaults(address: LedgerAddress) -> dict[str, str]:
     given = address.parameters
     found = {name: value for name, value in _CONNECTION.items() if name not in given}
     found["connect_timeout"] = given.get("connect_timeout", "10")
-    if not address.is_local and not ({"sslmode", "service"} & given.keys()):
-        found["sslmode"] = os.environ.get("PGSSLMODE", "verify-full")
+    if not address.is_local and not ("sslmode" in given or _has_service(address)):
+        found["sslmode"] = os.environ.get(_MODE, _VERIFIED)
     return found
+
+
+def _has_service(address: LedgerAddress) -> bool:
+    return "service" in address.parameters or "PGSERVICE" in os.environ
+
+
+@contextmanager
+def _service_verified(address: LedgerAddress) -> Iterator[None]:
+    """The mode for a service that says none: libpq reads the environment after the service file."""
+    default = _has_service(address) and _MODE not in os.environ
+    if default:
+        os.environ[_MODE] = _VERIFIED
+    try:
+        yield
+    finally:
+        if default:
+            del os.environ[_MODE]
 
 
 def _without_tables(words: str) -> KeystoreError:

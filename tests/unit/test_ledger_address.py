@@ -1,6 +1,9 @@
 """The address of a ledger in PostgreSQL: what is taken, and that it has no secret."""
 
+import os
+import socket
 import sys
+import threading
 
 import pytest
 
@@ -8,8 +11,9 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import Keystore, LedgerAddress, settings_file
-from pqsec_pki.keystore._postgres import _defaults
+from pqsec_pki.keystore._postgres import PostgresLedger, _defaults
 from pqsec_pki.keystore._postgres_schema import schema_sql
+from tests.unit.tls_sides import certificate
 
 SECRET = "hunter2-of-a-test"
 
@@ -71,6 +75,41 @@ def test_a_server_on_another_machine_is_authenticated_unless_the_address_says_ot
     found = _defaults(LedgerAddress.parse(text))
     assert found.get("sslmode") == mode
     assert found["target_session_attrs"] == "read-write"
+
+
+def test_a_server_that_the_environment_names_is_authenticated(monkeypatch):
+    for name in ("PGSSLMODE", "PGSERVICE"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("PGHOST", "db.example.com")
+    assert _defaults(LedgerAddress.parse("postgresql:///x"))["sslmode"] == "verify-full"
+    monkeypatch.setenv("PGHOST", "/run/postgresql")
+    assert "sslmode" not in _defaults(LedgerAddress.parse("postgresql:///x"))
+
+
+def test_a_service_that_says_nothing_about_tls_gets_no_unencrypted_word(tmp_path, monkeypatch):
+    monkeypatch.delenv("PGSSLMODE", raising=False)
+    root, service = tmp_path / "root.pem", tmp_path / "service"
+    root.write_bytes(certificate("ecdsa-p256")[0])
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        service.write_text(f"[x]\nhost=127.0.0.1\nport={port}\nuser=u\nsslrootcert={root}\n")
+        monkeypatch.setenv("PGSERVICEFILE", str(service))
+        heard = []
+
+        def answer():
+            link, _ = server.accept()
+            with link:
+                heard.append(link.recv(8))  # whether we have TLS
+                link.sendall(b"N")
+                heard.append(link.recv(1 << 16))
+
+        thread = threading.Thread(target=answer)
+        thread.start()
+        with pytest.raises(KeystoreError):
+            PostgresLedger(LedgerAddress.parse("postgresql:///?service=x"))
+        thread.join()
+    assert heard == [b"\x00\x00\x00\x08\x04\xd2\x16\x2f", b""]
+    assert "PGSSLMODE" not in os.environ
 
 
 def test_without_psycopg_it_is_said_which_extra_is_missing(tmp_path, monkeypatch):
