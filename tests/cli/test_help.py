@@ -99,6 +99,7 @@ def made(run_in, tmp_path_factory) -> Path:
     run("governance new -o governance.yaml")
     run("sign-governance governance.yaml -o governance.p7s")
     shutil.copy(folder / "robots/enclaves/talker/permissions.p7s", folder)
+    shutil.copy(folder / "robots/enclaves/talker/cert.pem", folder)
     forged = (folder / "permissions.p7s").read_bytes().replace(b"rt/chatter", b"rt/secrets")
     (folder / "forged.p7s").write_bytes(forged)
     run("plan --init domain.yaml")
