@@ -134,7 +134,8 @@ class Admission:
         decision = decision_on(self.ledger, request, name)
         if decision == REFUSAL:
             raise NotAdmittedError(403, "the request was refused")
-        if decision == APPROVAL and is_late(self.ledger, request, name):
+        if decision == APPROVAL and self.waiting and is_late(self.ledger, request, name):
+            self.waiting.remove(request.fingerprint)
             words = f"{name} got a certificate since the request was approved: send a new request"
             raise NotAdmittedError(403, words)
         if decision != APPROVAL and self.waiting:
