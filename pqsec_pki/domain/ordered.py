@@ -170,7 +170,8 @@ def _refuse_known(keystore: Keystore, order: EnrolmentOrder) -> None:
     if known := known | {name for name in names if keystore.has(name)}:
         raise KeystoreError(
             f"already issued: {', '.join(sorted(known))}",
-            hint="an order enrols new names only; `pqsec issue --csr` with --force replaces keys",
+            hint="an order enrols new names only; `pqsec issue --csr --force` replaces certificate"
+            " and permissions",
         )
 
 

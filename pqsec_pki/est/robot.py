@@ -135,7 +135,7 @@ def _is_enrolled(before: Enclave, root: Path, terms: KeyTerms, clock: Clock) -> 
     if terms.pins and state and state.pins != terms.pins:
         raise KeystoreError(
             f"{root} has a valid certificate under other CAs",
-            hint="enrol into another --dir, or use --force",
+            hint="enrol into another --dir; --force replaces what is installed here",
         )
     return True
 

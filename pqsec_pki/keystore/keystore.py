@@ -348,7 +348,8 @@ class Keystore:
         if self.elsewhere([name]):
             raise KeystoreError(
                 f"the files of {name} are on another machine with this ledger",
-                hint=f"work there; or `pqsec issue {name} --force` issues it here, with new keys",
+                hint=f"work there; or issue it here: `pqsec issue {name} --force`, with all its"
+                " rights",
             )
         refuse_unknown(self.root, name)
 

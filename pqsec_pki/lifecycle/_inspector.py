@@ -155,7 +155,7 @@ def _stale(path: Path, name: str, what: str, keystore: Keystore) -> KeystoreErro
     if keystore.ledger_address:
         return KeystoreError(
             f"{path} is not the newest {what} of {name}: another machine has it",
-            hint=f"work there; or `pqsec issue {name} --force ...` here, with new keys",
+            hint=f"work there; or issue it here: `pqsec issue {name} --force`, with all its rights",
         )
     return KeystoreError(
         f"{path} is not the newest {what} that the ledger has for {name}",

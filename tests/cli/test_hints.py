@@ -45,6 +45,14 @@ JUSTIFIED = {
     "*issue it with a key in a file, and all its rights: --force --participant-key-uri file": (
         SAYS_WHAT
     ),
+    "work there; or issue it here: `pqsec issue * --force`, with all its rights": SAYS_WHAT,
+    "work there; --force issues it here, with new key, certificate and permissions": SAYS_WHAT,
+    "an order enrols new names only; `pqsec issue --csr --force` replaces certificate and"
+    " permissions": SAYS_WHAT,
+    "enrol into another --dir; --force replaces what is installed here": SAYS_WHAT,
+    "--force, --after-revocation and --reuse-compromised-key are for other requests": (
+        "it tells nobody to use it"
+    ),
     "pqsec issue * --force *": "a node lacks topics that it needs to live; its own are named",
 }
 SHOWN = {"examples", "bad", "good"}
