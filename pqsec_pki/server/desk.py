@@ -106,11 +106,17 @@ class Desk:
         )
 
     def _issue(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
-        """Issue in one change; if that fails, one by one. Returns the errors by name."""
+        """Issue in one change, or in two if some replace certificates; returns errors by name."""
+        replacing = [each for each in new if each.replaces]
+        adding = [each for each in new if not each.replaces]
+        return {**self._issue_alike(replacing), **self._issue_alike(adding)}
+
+    def _issue_alike(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
+        """Issue in one change; if that fails, one by one."""
         specs = [each.spec for each in new if each.spec]
         if not specs:
             return {}
-        force = any(each.replaces for each in new)
+        force = new[0].replaces
         lines = [each.line for each in new if each.line]
         try:
             issue(
@@ -119,7 +125,7 @@ class Desk:
         except PqsecError as error:
             if len(new) == 1:
                 return {new[0].name: error}
-            return {name: each for one in new for name, each in self._issue([one]).items()}
+            return {name: each for one in new for name, each in self._issue_alike([one]).items()}
         return {}
 
     def _answered(
