@@ -58,7 +58,7 @@ class ServerLimits:
     requests_of_address: int = 300
     """In a minute, from one address."""
     requests_of_label: int = 6000
-    """In a minute, for one label."""
+    """In a minute, for one label, from addresses that no known robot has used."""
     seconds: int = 15
     """For the TLS handshake and a whole request: from the first octet to the last."""
     body: int = 64 << 10

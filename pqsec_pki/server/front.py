@@ -25,9 +25,11 @@ from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.channel import LimitedRequest
 from pqsec_pki.server.configuration import ServerLimits
-from pqsec_pki.server.limiting import Rate, key_of
+from pqsec_pki.server.limiting import Rate, RecentKeys, key_of
 from pqsec_pki.server.routes import Route
 
+_GIVEN = {200, 204}
+"""A note with one of these says who got what."""
 _RECEIPT = 16
 """A receipt may be so many times larger than a request: it has several participants."""
 _LONGEST_SHOWN = 80
@@ -44,6 +46,8 @@ class Front:
     counts: Counter[str] = field(default_factory=Counter)
     by_address: Rate = field(init=False)
     by_label: Rate = field(init=False)
+    known: RecentKeys = field(default_factory=RecentKeys)
+    """Addresses from which somebody showed a credential that the signer accepted."""
 
     def __post_init__(self) -> None:
         self.use(self.limits)
@@ -91,7 +95,7 @@ class Front:
             return SignerAnswer(status=405, detail=detail)
         if route.types and _media_type(request) not in route.types:
             return SignerAnswer(status=415, detail=f"send {' or '.join(sorted(route.types))}")
-        if wait := self.by_label.wait(route.label):
+        if key_of(address) not in self.known and (wait := self.by_label.wait(route.label)):
             return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
         return None
 
@@ -109,6 +113,8 @@ class Exchange:
         """Write the answer, unless the client has gone."""
         if answer.etag and answer.status == HTTPStatus.OK and self._has(answer.etag):
             answer = SignerAnswer(status=304, etag=answer.etag)
+        if answer.note and answer.status in _GIVEN:
+            self.front.known.add(key_of(self.address))
         self.front.count(f"status-{answer.status}")
         self._log(answer)
         if self.request._disconnected:  # noqa: SLF001 -- Twisted has no other way to ask

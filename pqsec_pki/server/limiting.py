@@ -37,6 +37,23 @@ class Rate:
 
 
 @dataclass(slots=True)
+class RecentKeys:
+    """The keys that were added last."""
+
+    _keys: OrderedDict[str, None] = field(default_factory=OrderedDict)
+
+    def add(self, key: str) -> None:
+        """Remember it; the one added longest ago is forgotten if there are too many."""
+        self._keys[key] = None
+        self._keys.move_to_end(key)
+        if len(self._keys) > MOST_KEYS:
+            self._keys.popitem(last=False)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self._keys
+
+
+@dataclass(slots=True)
 class Connections:
     """Counts open connections, of all and of each address."""
 

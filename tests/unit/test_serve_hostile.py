@@ -123,6 +123,19 @@ def test_a_client_certificate_that_only_openssl_reads_is_refused_in_words(server
     assert "internal error" not in server.log
 
 
+def test_strangers_use_up_the_limit_of_a_label_for_strangers_only(tmp_path):
+    home = "127.0.0.5"
+    limits = {"requests_of_label": 3}
+    server = Server(tmp_path, datetime.now(UTC), "classical", limits=limits)
+    with server.running():
+        robot = Robot(server, tmp_path / "robot")
+        asked = server.ask(robot.request, token=server.token("/fleet/r1"), source=home)
+        assert asked.status == 200
+        strangers = [server.send("GET", "/pqsec/v1/head", source=ENEMY).status for _ in range(9)]
+        assert 429 in strangers
+        assert server.ask(robot.request, source=home).status == 401
+
+
 def test_too_many_requests_are_refused_for_their_address_only(server, tmp_path):
     statuses = [server.send("GET", "/nothing", source="127.0.0.77").status for _ in range(70)]
     assert statuses[:50] == [404] * 50
