@@ -49,15 +49,14 @@ READING = {
 CHANGING = {
     *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit", "adopt"),
     *("sign-governance", "sign-permissions", "sign-request sign", "receipt import"),
-    *("ra add", "ra revoke", "propose"),
+    *("ra add", "ra revoke", "propose", "ledger move"),
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "enrol", "explain-error", "profiles"),
     *("sign-request export", "sign-request import", "algorithms", "approve", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop"),
-    "domain schema",
-    "serve",
+    *("domain schema", "ledger schema", "serve"),
     *(f"enrolment-token {each}" for each in ("create", "list", "revoke")),
     *(f"requests {each}" for each in ("approve", "list", "refuse")),
     *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),

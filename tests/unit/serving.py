@@ -14,6 +14,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
+from coverage import Coverage
 from OpenSSL import SSL
 
 from pqsec_pki.certificates import Certificate
@@ -24,6 +25,16 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.server import read_settings, record_token
 from tests.unit.tls_sides import certificate
 
+ROOT = Path(__file__).parents[2]
+MEASURED_TOO = (
+    {
+        "COVERAGE_PROCESS_START": str(ROOT / "pyproject.toml"),
+        "COVERAGE_FILE": str(ROOT / ".coverage"),
+    }
+    if Coverage.current()
+    else {}
+)
+"""Coverage of processes: nothing but them runs the rooms of the server."""
 HOST = "127.0.0.1"
 PATIENCE = 60
 DOMAIN = """
@@ -91,7 +102,7 @@ class Server:
 
     def cli(self, *words, check=True):
         command = [sys.executable, "-m", "pqsec_pki", *words]
-        given = {**os.environ, "PQSEC_KEYSTORE": str(self.root)}
+        given = {**os.environ, **MEASURED_TOO, "PQSEC_KEYSTORE": str(self.root)}
         done = subprocess.run(
             command, cwd=self.folder, env=given, capture_output=True, text=True, check=False
         )
@@ -123,8 +134,11 @@ class Server:
 
     def start(self):
         command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(self.config)]
+        given = {**os.environ, **MEASURED_TOO}
         with (self.folder / "log").open("ab") as log:
-            self.process = subprocess.Popen(command, stderr=log, stdout=log, start_new_session=True)
+            self.process = subprocess.Popen(
+                command, stderr=log, stdout=log, env=given, start_new_session=True
+            )
         until = time.monotonic() + PATIENCE
         while self.page("/readyz") != 200:
             if self.process.poll() is not None or time.monotonic() > until:
