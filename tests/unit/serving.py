@@ -28,7 +28,7 @@ from tests.unit.tls_sides import certificate
 ROOT = Path(__file__).parents[2]
 MEASURED_TOO = (
     {
-        "COVERAGE_PROCESS_START": str(ROOT / "pyproject.toml"),
+        "COVERAGE_PROCESS_START": str(ROOT / "tests/processes.coveragerc"),
         "COVERAGE_FILE": str(ROOT / ".coverage"),
     }
     if Coverage.current()
