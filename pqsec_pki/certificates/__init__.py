@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.certificates._alternative import alternative_attributes
     from pqsec_pki.certificates._names import name_text
     from pqsec_pki.certificates.authority import BACKDATE, LAST_YEAR, Authority, common_name, end_of
     from pqsec_pki.certificates.certificate import Certificate
@@ -32,6 +33,7 @@ __all__ = [
     "Reason",
     "RevocationList",
     "RevokedCertificate",
+    "alternative_attributes",
     "certificate_request",
     "common_name",
     "end_of",

@@ -30,7 +30,7 @@ from pqsec_pki._asn1 import (
     whole_bytes,
 )
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import PrivateKey, PublicKey
+from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.errors import MalformedError
 
 SUBJECT_ALT_PUBLIC_KEY_INFO = "2.5.29.72"
@@ -137,6 +137,16 @@ def add_request_proof(info: CertificationRequestInfo, alternative: PrivateKey) -
         ALT_SIGNATURE_VALUE, encode(bits(alternative.sign(_covered_by_request(info))))
     )
     info.attributes = sorted([*asked, proof], key=encode)
+
+
+def alternative_attributes(algorithm: SignatureAlgorithm) -> list[bytes]:
+    """The attributes that bring a key of that algorithm in a request, for those who ask for it.
+
+    Each is an OID, or an attribute whose value is known (AttrOrOID of RFC 8951 4), in DER.
+    """
+    kind = attribute(ALT_SIGNATURE_ALGORITHM, algorithm.identifier)
+    ends = (encode(Oid(each)) for each in (SUBJECT_ALT_PUBLIC_KEY_INFO, ALT_SIGNATURE_VALUE))
+    return [*ends, encode(kind)]
 
 
 def _add(tbs: TBSCertificate, oid: str, value: bytes) -> None:

@@ -9,7 +9,7 @@ from dataclasses import field
 from typing import Self
 
 from cryptography import x509
-from cryptography.x509.oid import NameOID
+from cryptography.x509.oid import AttributeOID, NameOID
 
 from pqsec_pki._asn1 import (
     CertificationRequestInfo,
@@ -113,6 +113,20 @@ class CertificateRequest:
             return None
         value = parts[0].value
         return value if isinstance(value, str) else None
+
+    @property
+    def challenge_password(self) -> bytes | None:
+        """The characters of its challenge password (RFC 2985 5.4.1); None without one.
+
+        MalformedError for several.
+        """
+        try:
+            found = x509.load_der_x509_csr(self.der).attributes
+            return found.get_attribute_for_oid(AttributeOID.CHALLENGE_PASSWORD).value
+        except x509.AttributeNotFound:
+            return None
+        except ValueError as error:
+            raise MalformedError(f"the request's attributes: {plain_words(error)}") from error
 
     @property
     def fingerprint(self) -> str:

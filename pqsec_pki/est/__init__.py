@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pqsec_pki.est.client import EstClient, ServerAnswer
     from pqsec_pki.est.extra import needs_extra
     from pqsec_pki.est.known_server import KnownServer
+    from pqsec_pki.est.linking import verify_est_request
     from pqsec_pki.est.messages import certs_only, from_base64, request_attributes, to_base64
     from pqsec_pki.est.obtaining import KeyTerms, WaitingError
     from pqsec_pki.est.paths import (
@@ -96,4 +97,5 @@ __all__ = [
     "server_pin",
     "spki_pin",
     "to_base64",
+    "verify_est_request",
 ]

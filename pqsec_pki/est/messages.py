@@ -2,26 +2,26 @@
 
 import base64
 import binascii
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 from cryptography import x509
 from cryptography.hazmat.primitives.serialization import Encoding, pkcs7
 
 from pqsec_pki._asn1 import (
-    TLV,
     AlgorithmIdentifier,
-    Attribute,
-    SetOf,
     SubjectPublicKeyInfo,
+    attribute,
     decode,
     encode,
     sequence_of,
 )
 from pqsec_pki.algorithms import SignatureAlgorithm
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, alternative_attributes
 from pqsec_pki.errors import MalformedError
 
 LINE = 64
+_NULL = b"\x05\x00"
+"""The parameters of an RSA key, in DER."""
 
 
 def to_base64(data: bytes) -> bytes:
@@ -48,18 +48,24 @@ def certs_only(certificates: Iterable[Certificate]) -> bytes:
     return pkcs7.serialize_certificates(found, Encoding.DER)
 
 
-def request_attributes(algorithm: SignatureAlgorithm) -> bytes:
-    """What a request needs, as CsrAttrs in DER (RFC 7030 4.5.2, RFC 9908 3.3).
+def request_attributes(algorithm: SignatureAlgorithm, second: SignatureAlgorithm | None) -> bytes:
+    """What a request needs, as CsrAttrs in DER (RFC 7030 4.5.2, RFC 9908 3.2).
 
-    The type of its key, with the curve if there is one, and the algorithm of its signature.
+    The type of its key with its terms, the algorithm of its signature, and for a `second` key the
+    attributes that bring it.
     """
     spki = algorithm.generate().public_key.spki
     kind = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo").algorithm
     signature = decode(AlgorithmIdentifier, algorithm.identifier, "AlgorithmIdentifier").algorithm
-    found = [signature]
-    if not isinstance(kind.parameters, TLV):
-        parts = [encode(each) for each in dict.fromkeys((kind.algorithm, *found))]
-    else:
-        curve = Attribute(type=kind.algorithm, values=SetOf([kind.parameters]))
-        parts = [encode(curve), *map(encode, found)]
-    return sequence_of(parts)
+    key = attribute(kind.algorithm.dotted_string, *_terms(kind, algorithm))
+    brought = alternative_attributes(second) if second else []
+    return sequence_of([encode(key), encode(signature), *brought])
+
+
+def _terms(kind: AlgorithmIdentifier, algorithm: SignatureAlgorithm) -> Iterator[bytes]:
+    """What a key must have beside its type: a curve, or the bits of an RSA modulus; or nothing."""
+    parameters = encode(kind.parameters) if kind.parameters else b""
+    if parameters == _NULL:
+        yield encode(int(algorithm.registered.parameter_set or 0))
+    elif parameters:
+        yield parameters

@@ -86,16 +86,18 @@ class LimitedChannel(HTTPChannel):
         """Pass a complete request on."""
         self.factory.answer(request)
 
+    @property
+    def connection(self) -> SSL.Connection:
+        """The connection of TLS."""
+        found: SSL.Connection = self.transport.getHandle()
+        return found
+
     def peer(self) -> bytes:
         """The client's certificate, whose key it has shown to have, in DER; empty for none.
 
         MalformedError for one that pqsec does not read.
         """
-        handle = getattr(self.transport, "getHandle", None)
-        connection = handle() if handle else None
-        if not isinstance(connection, SSL.Connection):
-            return b""
-        found = peer_certificate(connection)
+        found = peer_certificate(self.connection)
         return found.der if found else b""
 
     def connectionMade(self) -> None:  # noqa: N802

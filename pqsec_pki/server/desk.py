@@ -167,7 +167,8 @@ class Desk:
         return SignerAnswer(status=200, body=body, media_type=PKCS7)
 
     def _request_attributes(self, _call: SignerCall) -> SignerAnswer:
-        body = to_base64(request_attributes(self.keystore.profile.participant_key))
+        profile = self.keystore.profile
+        body = to_base64(request_attributes(profile.participant_key, profile.alternative_key))
         return SignerAnswer(status=200, body=body, media_type=CSRATTRS)
 
     def _own_bundle(self, call: SignerCall) -> SignerAnswer:

@@ -19,8 +19,15 @@ from twisted.web.http import datetimeToString
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import CertificateRequest
-from pqsec_pki.errors import MalformedError
-from pqsec_pki.est import EST, PROBLEM, RECEIPTS, TEXT, from_base64
+from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.est import (
+    EST,
+    PROBLEM,
+    RECEIPTS,
+    TEXT,
+    from_base64,
+    verify_est_request,
+)
 from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.channel import LimitedRequest
@@ -76,7 +83,7 @@ class Front:
             return
         try:
             call = _call(route, request, exchange)
-        except MalformedError as error:
+        except (MalformedError, VerificationError) as error:
             exchange.finish(SignerAnswer(status=400, detail=str(error)))
             return
         self.calls.ask(call, exchange.finish)
@@ -170,7 +177,11 @@ class Exchange:
 
 
 def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCall:
-    """What to ask the signer; MalformedError for what is not a request, or wrong credentials."""
+    """What to ask the signer.
+
+    MalformedError for what is not a request, or wrong credentials; VerificationError for a request
+    that EST's rules refuse.
+    """
     token, secret = _credentials(request)
     return SignerCall(
         kind=route.kind,
@@ -179,16 +190,20 @@ def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCa
         token=token,
         secret=secret,
         certificate=request.channel.peer(),
-        body=_content(route, request.content.read()),
+        body=_content(route, request),
     )
 
 
-def _content(route: Route, body: bytes) -> bytes:
-    """The DER of a request, or a receipt; MalformedError if it is not a request."""
+def _content(route: Route, request: LimitedRequest) -> bytes:
+    """The DER of a request, or a receipt; errors as of `_call`."""
+    body = request.content.read()
     if not route.kind.issues:
         return body if route.kind is CallKind.RECEIPT else b""
     if route.is_est:
-        return CertificateRequest.from_der(from_base64(body)).der
+        found = CertificateRequest.from_der(from_base64(body))
+        renews = route.kind is CallKind.REENROL
+        verify_est_request(found, request.channel.connection, renews=renews)
+        return found.der
     if body.lstrip().startswith(b"-----"):
         match CertificateRequest.all_from_pem(body):
             case (found,):
