@@ -106,6 +106,9 @@ class _Collector:
         role: Role | None = settings.get("role")
         if role is None:
             raise refused(each.line, f"{each.name} has no role")
+        order = entry.settings.get("order")
+        if order and settings.get("request"):
+            raise refused(each.line, f"{each.name} has a request and an order")
         return Member(
             name=each.name,
             role=role,
@@ -113,16 +116,18 @@ class _Collector:
             validity=self._validity(each, settings.get("validity") or role.validity),
             values=_values(each, role, settings.get("values", _NOTHING)),
             source=self._source,
-            request=self._request(each.name, settings.get("request")),
+            request=self._path(each.name, order or settings.get("request"), bool(order)),
+            by_order=bool(order),
         )
 
-    def _request(self, name: str, request: str | None) -> Path | None:
+    def _path(self, name: str, request: str | None, ordered: bool) -> Path | None:  # noqa: FBT001
         """The file, or the file with the participant's name in the folder."""
         if not request:
             return None
         path = self._source.parent / request
         is_folder = request.endswith("/") or os.path.isdir(path)  # noqa: PTH112 -- never raises
-        return path / f"{flat_name(name)}.csr" if is_folder else path
+        kind = "order" if ordered else "csr"
+        return path / f"{flat_name(name)}.{kind}" if is_folder else path
 
     def _validity(self, each: ListedName, own: timedelta | None) -> timedelta:
         validity: timedelta = own or self._settings["validity"]

@@ -1,11 +1,14 @@
 """Compares one participant with its wanted state: the steps, or why it is blocked."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from dataclasses import field
 from datetime import UTC, datetime, timedelta
+from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Profile
+from pqsec_pki.domain._orders import order_at, steps_of
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there
 from pqsec_pki.domain.steps import Blocked, Step, StepAction
@@ -19,6 +22,10 @@ _ELSEWHERE = "has its key elsewhere"
 _OTHER_MACHINE = "its files are on another machine, and were not made from this file"
 _OTHER_KEY = "its request is for another key"
 _IF_MEANT = "if it is really the robot that asks: --new-keys"
+_NEW_ONLY = "an order enrols new names only"
+_NO_ORDER = "name its `request` in place of the `order`"
+_ORDER_AGAIN = "the registration authority makes a new one: `pqsec sign-request export --grant`"
+_GRANT_FIRST = "apply the file, and then `pqsec ra add`"
 _ASK_AGAIN = "make a new request on it (`pqsec request`), and name the file as its `request`"
 
 
@@ -33,6 +40,10 @@ class Reconciler:
     now: datetime = _NEVER
     new_keys: bool = False
     """Whether a request may be for other keys than its participant had."""
+    members: Mapping[str, Member] = field(default_factory=dict)
+    """All of the domain file, by name."""
+    orders: dict[Path, Mapping[str, Step] | str] = field(default_factory=dict)
+    """The steps of each order that was read, or why it is refused."""
 
     def of(self, member: Member, held: ParticipantState | None) -> Iterator[Step | Blocked]:
         """The steps for `member`; `held` is its state in the keystore, None if it is new."""
@@ -52,7 +63,7 @@ class Reconciler:
         elif held is not None:
             answer = None
             if asks_for_other_keys(member, held.keys):
-                answer = self._answer_request(member, held, StepAction.REPLACE, _OTHER_KEY)
+                answer = self._answer(member, held, StepAction.REPLACE, _OTHER_KEY)
                 yield answer
             if not isinstance(answer, Step):
                 yield from self._steps_with_its_key(member, held)
@@ -87,17 +98,28 @@ class Reconciler:
     ) -> Step | Blocked:
         """The step, if its keys are made here or its request may be answered."""
         if member.request:
-            return self._answer_request(member, held, action, why)
+            return self._answer(member, held, action, why)
         if held and self._key_is_elsewhere(member.name, held):
             return Blocked(member.name, f"{_ELSEWHERE}, and {why}", _ASK_AGAIN)
         return Step(action, member.name, why)
+
+    def _answer(
+        self, member: Member, held: ParticipantState | None, action: StepAction, why: str
+    ) -> Step | Blocked:
+        """The step by the participant's request or order."""
+        if member.by_order and held:
+            return Blocked(member.name, f"is not changed: {_NEW_ONLY}, and {why}", _NO_ORDER)
+        if not is_there(member):
+            what = "is in no order yet" if member.by_order else "has sent no request"
+            return Blocked(member.name, f"{what} ({why})", f"put it at {member.request}")
+        if member.by_order:
+            return self._enrol_step(member)
+        return self._answer_request(member, held, action, why)
 
     def _answer_request(
         self, member: Member, held: ParticipantState | None, action: StepAction, why: str
     ) -> Step | Blocked:
         name = member.name
-        if not is_there(member):
-            return Blocked(name, f"has sent no request ({why})", f"put it at {member.request}")
         try:
             keys = hashes_in(admitted(member, self.profile))
         except PqsecError as error:
@@ -109,6 +131,26 @@ class Reconciler:
             why = _OTHER_KEY if why == _OTHER_KEY else f"{_OTHER_KEY}, and {why}"
             return Blocked(name, f"is not changed: {why}", _IF_MEANT)
         return Step(action, name, why, keys)
+
+    def _enrol_step(self, member: Member) -> Step | Blocked:
+        """The step by the participant's order, which is read once for all in it."""
+        if self.keystore is None or member.request is None:
+            return Blocked(member.name, "has an order, and there is no grant yet", _GRANT_FIRST)
+        if member.request not in self.orders:
+            self.orders[member.request] = self._order(member.request, self.keystore)
+        found = self.orders[member.request]
+        if isinstance(found, str):
+            return Blocked(member.name, f"its order is refused: {found}", _ORDER_AGAIN)
+        if member.name not in found:
+            return Blocked(member.name, f"is not in {member.request}", _ORDER_AGAIN)
+        return found[member.name]
+
+    def _order(self, path: Path, keystore: Keystore) -> Mapping[str, Step] | str:
+        try:
+            found = order_at(path, self.members, keystore, now=self.now)
+        except PqsecError as error:
+            return str(error)
+        return {each.name: each for each in steps_of(found)}
 
     def _key_is_elsewhere(self, name: str, held: ParticipantState) -> bool:
         """Whether it sent a request, and the keystore has no key for it; or a token has it."""

@@ -70,6 +70,7 @@ def entry_in(roles: Mapping[str, Role] | None, item: Item) -> ParticipantItem:
         "csv": text,
         "list": text,
         "request": _file_name,
+        "order": _file_name,
         "role": text if roles is None else partial(_named_role, roles),
         "values": _values,
     }
@@ -82,6 +83,8 @@ def entry_in(roles: Mapping[str, Role] | None, item: Item) -> ParticipantItem:
         raise refused(item, "it has a role: put its rules into the role")
     if own.entries:
         settings["role"] = _made("its own", own, settings)
+    if "order" in settings and "request" in settings:
+        raise refused(item, "it has a request and an order: an order has the requests")
     if "role" not in settings and "csv" not in settings:
         raise refused(item, "it has no rules: add a role, or publish, subscribe, nodes")
     return ParticipantItem(item.line, roles=roles or {}, settings=settings)

@@ -21,6 +21,7 @@ from pqsec_pki.problems import Code
 _LINES: Mapping[str, str] = {
     StepAction.CHANGE_PROFILE: "identity-ca",
     StepAction.SIGN_GOVERNANCE: "governance",
+    StepAction.ENROL: "participant",
     StepAction.ISSUE: "participant",
     StepAction.REPLACE: "participant",
     StepAction.RENEW: "participant",

@@ -83,6 +83,8 @@ class Member:
     """The domain file, for errors in its role."""
     request: Path | None = None
     """The path of its request, which may not exist yet; None if its keys are made here."""
+    by_order: bool = False
+    """Whether the request must be in an order of a registration authority, within its grant."""
 
     @property
     def config_digest(self) -> str:

@@ -57,6 +57,7 @@ def plan(
         ca_ends=keystore.identity_ca.not_after,
         now=now,
         new_keys=new_keys,
+        members=desired.members,
     )
     return _Planner(desired, keystore, actual, reconciler, now, prune or desired.prune).plan()
 

@@ -23,6 +23,7 @@ from pqsec_pki.lifecycle import changed_protection, changed_rights, grows, lasts
 
 _KINDS = {
     StepAction.CHANGE_PROFILE: Covered.ROTATE,
+    StepAction.ENROL: Covered.GROW,
     StepAction.ISSUE: Covered.GROW,
     StepAction.REPLACE: Covered.GROW,
     StepAction.REVOKE: Covered.REVOKE,
@@ -42,8 +43,12 @@ class PlanReview:
 
     @cached_property
     def kinds(self) -> frozenset[Covered]:
-        """The kinds of its changes; one document that grows is enough for all that are signed."""
-        found = {_KINDS.get(step.action, Covered.OTHER) for step in self.plan.steps}
+        """The kinds of its changes; one document that grows is enough for all that are signed.
+
+        What is within an approved grant needs no more approvals.
+        """
+        steps = (step for step in self.plan.steps if not step.approved)
+        found = {_KINDS.get(step.action, Covered.OTHER) for step in steps}
         if Covered.GROW not in found and (
             self._last_longer() or any(grows(each) for _, each in self._signed())
         ):
@@ -81,7 +86,7 @@ class PlanReview:
         )
 
     def _issued(self) -> Iterator[tuple[str, Difference]]:
-        for name in self._named(StepAction.ISSUE, StepAction.REPLACE):
+        for name in self._named(StepAction.ENROL, StepAction.ISSUE, StepAction.REPLACE):
             [grant] = self.desired.members[name].spec().grants
             yield name, permissions_diff(None, Permissions(grants=(grant,)))
 
@@ -108,6 +113,8 @@ class PlanReview:
             case StepAction.ISSUE | StepAction.REPLACE | StepAction.RENEW:
                 member = self.desired.members[step.name]
                 return f"{member.config_digest} {member.validity.total_seconds()} {step.keys}"
+            case StepAction.ENROL:
+                return f"{self.desired.members[step.name].config_digest} {step.why} {step.keys}"
             case StepAction.SIGN_PERMISSIONS:
                 return self.desired.members[step.name].config_digest
             case StepAction.REVOKE:

@@ -1,16 +1,17 @@
-"""Requests that the domain file names, of participants whose keys are on their robots."""
+"""Requests and orders that the domain file names, of participants with their keys on robots."""
 
 import os
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
+from pathlib import Path
 
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain.desired import Member
-from pqsec_pki.enrolment import name_asked_for, validate_csrs
+from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for, validate_csrs
 from pqsec_pki.errors import (
     FileError,
     KeystoreError,
@@ -40,7 +41,7 @@ def admitted(member: Member, profile: Profile) -> PublicKeys | None:
     if member.request is None:
         return None
     with located(member.request):
-        found = _by_name(_content(member))
+        found = _requests(member)
         if member.name not in found:
             raise VerificationError(f"no request in it is for {member.name}: {_said(found)}")
         return validate_csrs(found[member.name], profile, names=[member.name])[member.name]
@@ -54,7 +55,7 @@ def asks_for_other_keys(member: Member, certified: str) -> bool:
     if not is_there(member):
         return False
     with suppress(PqsecError):
-        own = _by_name(_content(member)).get(member.name, ())
+        own = _requests(member).get(member.name, ())
         return any(key_hashes(each.public_key, each.alternative_key) != certified for each in own)
     return True
 
@@ -77,26 +78,39 @@ def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:
     return replace(member.spec(), keys=keys)
 
 
+def order_in(path: Path) -> SignRequest:
+    """The order in the file; FileError, MalformedError or VerificationError if it is damaged."""
+    return SignRequest.from_bytes(_content(path, MAX_ARCHIVE))
+
+
 def hashes_in(keys: PublicKeys | None) -> str:
     """The keys' hashes as in the ledger; empty for None."""
     return key_hashes(keys.key, keys.alternative) if keys else ""
 
 
-def _content(member: Member) -> bytes:
-    """What is in its file; only a regular one, because others may put a pipe there."""
-    if member.request is None or not os.path.isfile(member.request):  # noqa: PTH113 -- never raises
+def _requests(member: Member) -> dict[str, list[CertificateRequest]]:
+    if member.request is None:
         raise FileError("there is no file")
-    return read(member.request, limit=MAX_FILE)
+    limit = MAX_ARCHIVE if member.by_order else MAX_FILE
+    return _by_name(_content(member.request, limit), ordered=member.by_order)
+
+
+def _content(path: Path, limit: int) -> bytes:
+    """What is in the file; only a regular one, because others may put a pipe there."""
+    if not os.path.isfile(path):  # noqa: PTH113 -- never raises
+        raise FileError("there is no file")
+    return read(path, limit=limit)
 
 
 @lru_cache(maxsize=4)
-def _by_name(data: bytes) -> dict[str, list[CertificateRequest]]:
+def _by_name(data: bytes, *, ordered: bool) -> dict[str, list[CertificateRequest]]:
     """All requests in a file by the names they ask for, cached: many participants may have it.
 
     One that asks for no participant's name is under its subject, which begins with no slash.
     """
     found: dict[str, list[CertificateRequest]] = {}
-    for each in CertificateRequest.all_from_pem(data):
+    asked = SignRequest.from_bytes(data).requests if ordered else None
+    for each in asked or CertificateRequest.all_from_pem(data):
         name = name_asked_for(each) or each.subject_name or "an empty subject"
         found.setdefault(name, []).append(each)
     return found

@@ -13,6 +13,8 @@ class StepAction(StrEnum):
     CREATE_CAS = "create-cas"
     SIGN_GOVERNANCE = "sign-governance"
     STORE_GROUPS = "store-groups"
+    ENROL = "enrol"
+    """By order of a registration authority, within its grant; all of an order is one change."""
     ISSUE = "issue"
     REPLACE = "replace"
     SIGN_PERMISSIONS = "sign-permissions"
@@ -33,6 +35,7 @@ _WORDS = {
     StepAction.CREATE_CAS: "create the CAs",
     StepAction.SIGN_GOVERNANCE: "sign the governance",
     StepAction.STORE_GROUPS: "store the groups",
+    StepAction.ENROL: "enrol",
     StepAction.ISSUE: "issue",
     StepAction.REPLACE: "issue again",
     StepAction.SIGN_PERMISSIONS: "sign permissions for",
@@ -53,6 +56,8 @@ class Step:
     why: str
     keys: str = field(default="", compare=False)
     """Hashes of the keys in its request, as in the ledger."""
+    approved: bool = field(default=False, compare=False)
+    """Whether the grant that it is within was approved, or needed no approvals."""
 
     def to_json(self) -> dict[str, object]:
         """The step for --json."""

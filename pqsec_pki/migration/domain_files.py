@@ -85,7 +85,7 @@ def _refuse_other(document: bytes, path: Path, step: MigrationStep, wanted: Desi
 def _content(desired: Desired) -> tuple[object, ...]:
     """What must not change."""
     members = {
-        name: (each.config_digest, each.validity, each.request)
+        name: (each.config_digest, each.validity, each.request, each.by_order)
         for name, each in desired.members.items()
     }
     own = (desired.name, desired.domains, desired.ca_validity, desired.renew_before)

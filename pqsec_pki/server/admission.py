@@ -118,6 +118,8 @@ class Admission:
         if self._was_answered(name, request, holder.by):
             return Admitted(name, holder.by)
         held = self._held(name)
+        if member.by_order and held is None:
+            raise NotAdmittedError(403, f"{name} is enrolled by a registration authority's order")
         keys = _keys(request, name, self.keystore.profile)
         hashes = key_hashes(keys.key, keys.alternative)
         holder.refuse_used(self.now)

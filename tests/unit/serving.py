@@ -48,6 +48,7 @@ participants:
   - {{name: "/fleet/r{{1..3}}", role: robot, request: requests/}}
   - {{name: /other, role: robot, request: requests/}}
   - {{name: /local, role: robot}}
+  - {{name: /ordered, role: robot, order: orders/}}
 """
 
 

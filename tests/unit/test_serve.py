@@ -94,6 +94,7 @@ REFUSED = {
     "a token of another": (403, "the enrolment token is not for /other"),
     "not in the domain file": (403, "/fleet/r9 is not in the domain file"),
     "keys of the CA": (403, "the keys of /local are made by the CA"),
+    "for an order": (403, "/ordered is enrolled by a registration authority's order"),
     "a revoked token": (401, "the enrolment token was revoked"),
     "not a request": (400, "not a DER"),
     "another's proof": (400, "no proof that the requester has the private key"),
@@ -106,6 +107,7 @@ def test_nobody_else_gets_a_certificate(server, tmp_path, what):
         "a token of another": "/other",
         "not in the domain file": "/fleet/r9",
         "keys of the CA": "/local",
+        "for an order": "/ordered",
     }
     name = names.get(what, "/fleet/r3")
     token = server.token("/fleet/*" if what == "a token of another" else name)
