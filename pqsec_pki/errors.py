@@ -5,11 +5,12 @@ line prints the message and the hint, and exits with the error's exit_code: 1 if
 failed, 2 if the request makes no sense, 3 if the work could not be done.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from difflib import get_close_matches
-from typing import Self
+from typing import Self, TypeVar
 
+from pqsec_pki import __version__
 from pqsec_pki.problems import Code, Problem
 
 MOST_MEANT = 3
@@ -180,6 +181,28 @@ class VerificationError(PqsecError):
     def codes(self) -> frozenset[Code]:
         """The codes of the problems."""
         return frozenset(each.code for each in self.problems)
+
+
+Kind = TypeVar("Kind", bound=PqsecError)
+
+
+def other_format(
+    kind: type[Kind],
+    found: object,
+    known: Sequence[int],
+    *,
+    made_by: object = None,
+    where: object = None,
+) -> Kind:
+    """The error for what has a format that is not among `known`; `made_by` is a version."""
+    maker = f"pqsec {shown(str(made_by), 20)}" if made_by else "another version of pqsec"
+    return kind(
+        f"made by {maker}, in format {shown(str(found))}; this is pqsec {__version__}, which reads"
+        f" format{'s' * (len(known) > 1)} {' and '.join(map(str, known))}",
+        hint="use the version that made it, or a newer one; or restore what was backed up before"
+        " the upgrade",
+        where=where,
+    )
 
 
 def problems_of(error: PqsecError, code: Code = Code.OTHER) -> tuple[Problem, ...]:

@@ -104,6 +104,10 @@ COMMANDS = {
     "who-may": ("who_may", "Show which participants may publish and subscribe to each topic."),
     "diff": ("diff", "Show the rights that a policy change grants and removes."),
     "inspect": ("inspect", "Describe a certificate, key, request or document."),
+    "uninstall": (
+        "uninstall",
+        "List what of pqsec is where on this machine, and how each is removed.",
+    ),
     "bench": ("bench", "Measure the time, message sizes and memory of the handshake."),
     "estimate": (
         "estimate",
@@ -128,7 +132,7 @@ GROUPS = {
         "check report verify verify-handshake explain who-may diff cbom migrate inspect bench"
         " estimate profiles algorithms"
     ),
-    "Use with a DDS stack": "export try explain-error plugin agent",
+    "Use with a DDS stack": "export try explain-error plugin agent uninstall",
 }
 """Heading, as in README -> commands below it, in `pqsec --help`."""
 

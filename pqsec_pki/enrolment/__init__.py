@@ -15,6 +15,7 @@ if TYPE_CHECKING:
         CredentialStore,
         InstalledSet,
         changing,
+        is_credential_store,
         one_command,
     )
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
@@ -70,6 +71,7 @@ __all__ = [
     "flat_name",
     "import_receipts",
     "install",
+    "is_credential_store",
     "is_sealed",
     "issue_with_bundles",
     "key_places",

@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.enrolment import tarball
-from pqsec_pki.errors import MalformedError, VerificationError, shown
+from pqsec_pki.errors import MalformedError, VerificationError, other_format, shown
 
 FORMAT = 1
 MANIFEST = "manifest.json"
@@ -50,7 +50,7 @@ class Archive:
                 raise MalformedError(f"the manifest is larger than {MAX_MANIFEST} bytes")
             manifest = json.loads(text)
             if manifest["format"] != FORMAT:
-                raise MalformedError("made by another version of pqsec")
+                raise other_format(MalformedError, manifest["format"], (FORMAT,))
             found, hashes = manifest["kind"], dict(manifest["files"])
         except (KeyError, ValueError, TypeError, RecursionError):
             raise MalformedError(f"not a {kind} of pqsec: it has no readable manifest") from None

@@ -36,7 +36,7 @@ from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS, PROOF
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
 from pqsec_pki.enrolment.bundle import flat_name, name_of
 from pqsec_pki.enrolment.trust import TrustState
-from pqsec_pki.errors import KeystoreError, MalformedError, located
+from pqsec_pki.errors import KeystoreError, MalformedError, located, other_format
 from pqsec_pki.keystore import bundle_number
 
 CURRENT, SETS, REQUESTS = "current", "sets", "requests"
@@ -48,6 +48,12 @@ _NUMBER = re.compile("[1-9][0-9]{0,8}")
 
 Enclaves = Mapping[str, Mapping[str, bytes]]
 """Files by name, for each participant's name."""
+
+
+def is_credential_store(root: Path) -> bool:
+    """Whether credentials were installed there, or keys generated."""
+    installed = os.path.lexists(root / CURRENT) and (root / SETS).is_dir()
+    return installed or any((root / REQUESTS).glob(f"*/{KEY}"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +118,7 @@ class CredentialStore:
         try:
             record = json.loads(read(path / RECORD))
             if record["format"] != FORMAT:
-                raise KeystoreError(f"{path} was made by another version of pqsec")
+                raise other_format(KeystoreError, record["format"], (FORMAT,), where=path)
             at, previous = datetime.fromisoformat(record["at"]), _set_name(record["previous"])
             numbers = {
                 name: number

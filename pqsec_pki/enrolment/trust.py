@@ -26,7 +26,7 @@ from pqsec_pki.credentials import (
     Credentials,
     TrustAnchors,
 )
-from pqsec_pki.errors import KeystoreError, UsageError, shown
+from pqsec_pki.errors import KeystoreError, UsageError, other_format, shown
 from pqsec_pki.keystore import Keystore, Overlap
 from pqsec_pki.problems import Code, Problem
 
@@ -163,7 +163,7 @@ class TrustState:
         try:
             value: dict[str, Any] = json.loads(data)
             if value["format"] != FORMAT:
-                raise KeystoreError(f"its format is {value['format']}; this pqsec reads {FORMAT}")
+                raise other_format(KeystoreError, value["format"], (FORMAT,))
             marks = value["marks"]
             return cls(
                 pins={

@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read, write
-from pqsec_pki.errors import KeystoreError, PqsecError, located
+from pqsec_pki.errors import KeystoreError, PqsecError, located, other_format
 from pqsec_pki.est.client import EstClient
 from pqsec_pki.est.tls import ServerTrust
 from pqsec_pki.est.token_file import checked_url
@@ -44,7 +44,7 @@ class KnownServer:
         try:
             value: dict[str, Any] = json.loads(data)
             if value["format"] != FORMAT:
-                raise KeystoreError(f"its format is {value['format']}; this pqsec reads {FORMAT}")
+                raise other_format(KeystoreError, value["format"], (FORMAT,))
             trust = ServerTrust(
                 frozenset(map(str, value["pins"])), str(value["authorities"]).encode()
             )
@@ -57,7 +57,7 @@ class KnownServer:
         except (*(ValueError, KeyError, TypeError), *(AttributeError, RecursionError)):
             raise KeystoreError("cannot be read") from None
         except PqsecError as error:
-            raise KeystoreError(f"cannot be read: {error}") from None
+            raise KeystoreError(f"cannot be read: {error}", hint=error.hint) from None
 
     def save(self, root: Path) -> None:
         """Keep it in the credential store at `root`."""

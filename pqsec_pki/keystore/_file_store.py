@@ -3,7 +3,7 @@
 import sqlite3
 from collections.abc import Iterable
 
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import KeystoreError, other_format
 from pqsec_pki.keystore import _ledger_file, _table, layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder
@@ -39,7 +39,7 @@ class FileStore:
         with _table.transaction(database):
             found = _table.format_of(database)
             if found > _table.FORMAT:
-                raise KeystoreError(f"{self.place}: made by a newer pqsec (format {found})")
+                raise other_format(KeystoreError, found, (1, _table.FORMAT), where=self.place)
             if found < _table.FORMAT:
                 if not (self._begin or _table.has_format_1(database)):
                     raise self._lost()

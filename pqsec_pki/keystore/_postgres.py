@@ -15,7 +15,7 @@ import psycopg
 from psycopg import errors
 from psycopg.conninfo import make_conninfo
 
-from pqsec_pki.errors import KeystoreError, shown
+from pqsec_pki.errors import KeystoreError, other_format, shown
 from pqsec_pki.keystore import _ledger_file, _postgres_schema, _table
 from pqsec_pki.keystore._address import LedgerAddress
 
@@ -167,7 +167,8 @@ class PostgresLedger:
     def _refuse_format(self) -> None:
         [(found,)] = self._connection.execute("SELECT max(version) FROM pqsec.format").fetchall()
         if not isinstance(found, int) or found > _postgres_schema.FORMAT:
-            raise KeystoreError(f"{self.place}: made by a newer pqsec (format {shown(str(found))})")
+            known = (_postgres_schema.FORMAT,)
+            raise other_format(KeystoreError, found, known, where=self.place)
         if found < _postgres_schema.FORMAT:
             raise _without_tables(f"{self.place}: made by an older pqsec (format {found})")
 

@@ -8,7 +8,7 @@ from pqsec_pki import __version__
 from pqsec_pki._files import exists, read
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, shown
+from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, other_format
 from pqsec_pki.keystore._address import LedgerAddress
 
 _IN_A_FILE, _IN_A_DATABASE = 1, 2
@@ -23,6 +23,7 @@ def settings_file(
     domains = DomainSet.of(*domains.parts)
     settings = {
         "format": _IN_A_DATABASE if ledger else _IN_A_FILE,
+        "pqsec": __version__,
         "algorithms": profile.to_names(),
         "domains": str(domains),
         **({"ledger": ledger.url} if ledger else {}),
@@ -55,11 +56,9 @@ def read_ledger(path: Path) -> LedgerAddress | None:
 
 def _read(path: Path) -> dict[str, Any]:
     settings: dict[str, Any] = json.loads(read(path))
-    if settings["format"] != (_IN_A_DATABASE if "ledger" in settings else _IN_A_FILE):
-        raise KeystoreError(
-            f"the keystore has format {shown(str(settings['format']))}, which this pqsec"
-            f" {__version__} does not know",
-            where=path,
-            hint="use the version of pqsec that made it, or a newer one",
-        )
+    found, known = settings["format"], (_IN_A_FILE, _IN_A_DATABASE)
+    if found not in known:
+        raise other_format(KeystoreError, found, known, made_by=settings.get("pqsec"), where=path)
+    if (found == _IN_A_DATABASE) != ("ledger" in settings):
+        raise ValueError(f"only format {_IN_A_DATABASE} has the address of a ledger")
     return settings

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pqsec_pki._files import exists, read
-from pqsec_pki.errors import KeystoreError, UsageError
+from pqsec_pki.errors import KeystoreError, UsageError, other_format
 from pqsec_pki.keystore.layout import GROUPS, enclave_name
 
 GROUP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
@@ -38,7 +38,7 @@ def read_groups(root: Path) -> dict[str, tuple[str, ...]]:
     try:
         content = json.loads(read(path, limit=_LIMIT))
         if content["format"] != _FORMAT:
-            raise KeystoreError("made by another version of pqsec", where=path)
+            raise other_format(KeystoreError, content["format"], (_FORMAT,), where=path)
         return {_group(key): tuple(map(_name, names)) for key, names in content["groups"].items()}
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError, UsageError) as error:
         raise KeystoreError(

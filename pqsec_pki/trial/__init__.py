@@ -11,7 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.trial.agent_runs import AgentError, AgentUse, TrialPlugin, plugin
-    from pqsec_pki.trial.building import BuildError, built
+    from pqsec_pki.trial.building import BuildError, built, cache_path
     from pqsec_pki.trial.hosts import HostOutcome, HostsRun, HostsSetup, run_hosts
     from pqsec_pki.trial.installation import MACHINE, Installation, MissingStackError, find
     from pqsec_pki.trial.peer import Act, PeerOutcome, TrialRole
@@ -57,6 +57,7 @@ __all__ = [
     "TrialRun",
     "TrialSetup",
     "built",
+    "cache_path",
     "credentialed",
     "find",
     "in_memory",

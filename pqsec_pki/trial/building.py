@@ -50,7 +50,7 @@ def source(name: str) -> bytes:
 
 def cache() -> Path:
     """The folder of programs that were compiled for trials; FileError if others may write."""
-    found = _cache_path()
+    found = cache_path()
     with disk_errors(found):
         for place in (found.parent, found):
             place.mkdir(mode=0o700, parents=True, exist_ok=True)
@@ -58,7 +58,8 @@ def cache() -> Path:
     return found
 
 
-def _cache_path() -> Path:
+def cache_path() -> Path:
+    """The folder of compiled programs, whether or not it exists; FileError without a home."""
     named = Path(os.environ.get("XDG_CACHE_HOME", ""))
     try:  # the XDG Base Directory Specification says to ignore a relative path
         home = named if named.is_absolute() else Path.home() / ".cache"

@@ -65,6 +65,7 @@ COMPANY = {
     "propose --key": "-o out.json",
     "request": "--profile classical",
     "try": "--dry-run",
+    "uninstall": "--list",
     "verify": "--ca k/public/permissions_ca.cert.pem",
     "verify-handshake": "/listener",
     "who-may --governance": "k/enclaves/talker/permissions.xml",

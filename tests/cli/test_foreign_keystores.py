@@ -55,7 +55,7 @@ WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "enrol", "explain-error", "profiles"),
     *("sign-request export", "sign-request import", "algorithms", "approve", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
-    *("agent log", "agent run", "agent status", "agent stop"),
+    *("agent log", "agent run", "agent status", "agent stop", "uninstall"),
     *("domain schema", "ledger schema", "serve"),
     *(f"enrolment-token {each}" for each in ("create", "list", "revoke")),
     *(f"requests {each}" for each in ("approve", "list", "refuse")),

@@ -400,7 +400,7 @@ FAILS = {
 """Command -> arguments with which it cannot be done, where its example would."""
 UNPRINTABLE = {
     *("algorithms", "explain-error", "governance presets", "profiles", "agent stop"),
-    *("plugin status", "plugin uninstall"),
+    *("plugin status", "plugin uninstall", "uninstall"),
 }
 """Commands that fail only if the result cannot be printed, or standard input be read."""
 FAILS_ELSEWHERE = {

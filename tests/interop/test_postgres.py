@@ -118,7 +118,7 @@ def test_tables_are_made_once_and_brought_up_to_date(first, cluster, database, m
     cluster.sql(schema_sql([WRITER]), database)
     assert len(first.lines()) == 5
     monkeypatch.setattr(_postgres_schema, "FORMAT", 1)
-    with pytest.raises(KeystoreError, match="made by a newer pqsec"):
+    with pytest.raises(KeystoreError, match="made by another version of pqsec"):
         first.lines()
 
 

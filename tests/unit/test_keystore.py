@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 
+from pqsec_pki import __version__
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.certificates import verify_authority, verify_chain
 from pqsec_pki.documents import DomainSet, Governance, Kind, Permissions, validate
@@ -604,6 +605,29 @@ def test_altered_settings_are_refused(keystore, root, change):
     (root / "pqsec.json").write_text(json.dumps(settings | change))
     with pytest.raises(KeystoreError, match=r"pqsec\.json"):
         Keystore.open(root)
+
+
+@pytest.mark.parametrize(
+    ("made_by", "words"),
+    [("0.9.0", "made by pqsec 0.9.0, in format 3"), (None, "made by another version of pqsec"),
+     ("\x1b[2J", r"made by pqsec \\u001b\[2J")],
+)  # fmt: skip
+def test_a_keystore_in_a_format_to_come_is_refused_with_the_way_out(keystore, root, made_by, words):
+    settings = json.loads((root / "pqsec.json").read_bytes())
+    assert settings["pqsec"] == __version__
+    changed = settings | {"format": 3, "pqsec": made_by}
+    (root / "pqsec.json").write_text(json.dumps(changed))
+    with pytest.raises(KeystoreError, match=words) as refused:
+        Keystore.open(root)
+    assert f"this is pqsec {__version__}, which reads formats 1 and 2" in str(refused.value)
+    assert "backed up before the upgrade" in refused.value.hint
+
+
+def test_settings_without_the_version_that_made_them_are_read(keystore, root):
+    settings = json.loads((root / "pqsec.json").read_bytes())
+    del settings["pqsec"]
+    (root / "pqsec.json").write_text(json.dumps(settings))
+    assert Keystore.open(root).names() == keystore.names()
 
 
 def test_settings_that_break_the_profiles_promise_are_refused(root):

@@ -381,7 +381,7 @@ def test_a_change_that_an_older_pqsec_left_unfinished_is_finished(keystore):
 def test_a_newer_ledger_is_refused(keystore):
     with database(keystore) as opened:
         opened.execute("PRAGMA user_version = 3")
-    with pytest.raises(KeystoreError, match="made by a newer pqsec"):
+    with pytest.raises(KeystoreError, match="made by another version of pqsec"):
         keystore.ledger()
 
 

@@ -104,6 +104,7 @@ MAY_IMPORT["benchmark"] = {
 MAY_IMPORT["estimation"] = {"handshake", "keystore", "credentials", "algorithms"}
 MAY_IMPORT["est"] = MAY_IMPORT["enrolment"] | {"enrolment"}
 MAY_IMPORT["server"] = MAY_IMPORT["est"] | {"est", "domain"}
+MAY_IMPORT["installed"] = {"plugin", "vendors", "trial", "enrolment", "keystore"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
 
 # Outside packages that only these rooms, or modules of the ground, may touch.

@@ -1,0 +1,49 @@
+"""pqsec uninstall: what of pqsec is where on this machine."""
+
+import os
+from contextlib import suppress
+from pathlib import Path
+
+import click
+
+from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli.plugin import default_folder
+from pqsec_pki.errors import UsageError
+
+
+@_help.command(
+    examples={
+        "List what of pqsec is on this machine, and how to remove it": "pqsec uninstall --list",
+        "Look for keystores and credentials in a folder too": "pqsec uninstall --list robots",
+    },
+    exit_codes={0: "listed", 3: "a folder or file cannot be read"},
+)
+@click.argument("folders", nargs=-1, type=_settings.FOLDER, metavar="[FOLDER]...")
+@click.option("--list", "listed", is_flag=True, help="Show what is where. Nothing is removed.")
+@_settings.command_options
+def uninstall(folders: tuple[Path, ...], *, listed: bool) -> None:
+    """List what of pqsec is where on this machine, and how each is removed.
+
+    It looks for keystores and credentials in the current folder, in those of -k and its
+    variables, and in each FOLDER, and one folder deeper.
+    """
+    from pqsec_pki.installed import made_here, programs  # noqa: PLC0415 -- not for its help
+
+    if not listed:
+        raise UsageError("pqsec does not remove itself", hint="--list shows what is where")
+    found = [
+        *programs(os.environ),
+        *made_here(os.environ, default_folder(), (Path.cwd(), *_keystores(), *folders)),
+    ]
+    rows = (
+        (each.what, f"{each.path}:{each.line}" if each.line else str(each.path), each.removed_by)
+        for each in found
+    )
+    _printing.emit({"places": found}, _printing.table(("WHAT", "WHERE", "REMOVED BY"), rows))
+
+
+def _keystores() -> list[Path]:
+    """That which is named, as other commands find theirs."""
+    with suppress(UsageError):
+        return [each for each in (_settings.keystore_path(),) if each.is_dir()]
+    return []

@@ -1,0 +1,56 @@
+"""What pqsec made on this machine."""
+
+from collections.abc import Iterable, Iterator, Mapping
+from os.path import lexists
+from pathlib import Path
+
+from pqsec_pki._files import disk_errors
+from pqsec_pki.enrolment import is_credential_store
+from pqsec_pki.installed.program import Place
+from pqsec_pki.keystore import SETTINGS
+from pqsec_pki.plugin import AgentFolder, units_folder, written_units
+from pqsec_pki.trial import cache_path
+from pqsec_pki.vendors import files_of_plugins, installed_plugins
+
+SYSTEM_UNITS = Path("/etc/systemd/system")
+_SERVICE = (Path("/etc/pqsec"), Path("/var/lib/pqsec"))
+"""Of examples/operations: the passphrase, and the user's home."""
+
+
+def made_here(
+    environment: Mapping[str, str], plugin: Path, folders: Iterable[Path]
+) -> Iterator[Place]:
+    """The plugin in its folder, what a user's and the system's services have, the cache; and the
+    keystores and robots' credentials that are `folders`, or in them."""
+    yield from _plugins(plugin)
+    agent = AgentFolder.of(environment).folder
+    if lexists(agent):
+        yield Place("agent", agent, f"pqsec agent stop, then rm -r {agent}")
+    for unit in written_units(units_folder(environment)):
+        yield Place("unit", unit, "pqsec plugin uninstall")
+    for unit in sorted(SYSTEM_UNITS.glob("pqsec-*")):
+        yield Place("unit", unit, f"systemctl disable --now {unit.name}, then rm {unit}")
+    for folder in (cache_path().parent, *_SERVICE):
+        if lexists(folder):
+            yield Place("cache" if folder not in _SERVICE else "service", folder, f"rm -r {folder}")
+    for folder in dict.fromkeys(each.absolute() for each in folders):
+        yield from _kept(folder)
+
+
+def _plugins(folder: Path) -> Iterator[Place]:
+    """Each library that a stack loads, with its stack, and the other files."""
+    named = {each.file: each.title for each in installed_plugins(folder)}
+    for path in files_of_plugins(folder):
+        what = f"plugin, {named[path]}" if path in named else "plugin"
+        yield Place(what, path, "pqsec plugin uninstall")
+
+
+def _kept(folder: Path) -> Iterator[Place]:
+    """Keystores and credentials: `folder`, and the folders in it."""
+    with disk_errors(folder):
+        below = sorted(each for each in folder.iterdir() if each.is_dir())
+    for each in (folder, *below):
+        if (each / SETTINGS).is_file():
+            yield Place("keystore", each, "yours: with it go the CA keys")
+        if is_credential_store(each):
+            yield Place("credentials", each, "yours: with it go the robot's keys")
