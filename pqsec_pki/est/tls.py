@@ -146,6 +146,7 @@ def _context(method: int, *, classical: bool) -> SSL.Context:
     context.set_cipher_list(_TLS12_CIPHERS)
     # A session that is resumed has no certificate of now, and keys of an earlier agreement.
     context.set_session_cache_mode(SSL.SESS_CACHE_OFF)
+    context.set_mode(SSL.MODE_RELEASE_BUFFERS)
     context.set_options(SSL.OP_NO_TICKET | SSL.OP_NO_RENEGOTIATION | SSL.OP_NO_COMPRESSION)
     return context
 

@@ -15,7 +15,8 @@ SECONDS = 60.0
 """Until the answer: the signer may wait half a minute for another command at the keystore."""
 MOST_OPEN = 256
 """Calls that wait for the signer."""
-MOST_KEPT = 16
+MOST_OCTETS = 16 << 20
+"""Of these calls."""
 KEPT_SECONDS = 5.0
 """How long an answer that is the same for everybody is given again."""
 _SHARED = frozenset(
@@ -37,7 +38,7 @@ class SignerCalls:
 
     def __init__(self, reactor: Any, socket: Path) -> None:
         self._reactor, self._socket = reactor, str(socket)
-        self.open = 0
+        self.open = self._octets = 0
         self._kept: OrderedDict[CallKind, tuple[float, SignerAnswer]] = OrderedDict()
 
     def ask(self, call: SignerCall, then: Then) -> None:
@@ -47,13 +48,16 @@ class SignerCalls:
             if self._reactor.seconds() - at < KEPT_SECONDS:
                 then(answer)
                 return
-        if self.open >= MOST_OPEN:
+        octets = len(call.body)
+        if self.open >= MOST_OPEN or self._octets + octets > MOST_OCTETS:
             then(_BUSY)
             return
         self.open += 1
+        self._octets += octets
 
         def finish(answer: SignerAnswer) -> None:
             self.open -= 1
+            self._octets -= octets
             if call.kind in _SHARED and answer.status == 200:  # noqa: PLR2004
                 self._kept[call.kind] = (self._reactor.seconds(), answer)
             then(answer)

@@ -1,7 +1,8 @@
-"""Connections of clients: TLS, their number, and the time that each may take (Twisted).
+"""Connections of clients: TLS, their number, their memory and the time of each (Twisted).
 
 The reactor waits for all connections at once, so one that sends nothing takes memory, and no
-thread; it is closed when its time is over, whatever it sends by then.
+thread; it is closed when its time is over, whatever it sends by then. If connections or memory
+run out, the address that has most of it loses what it has had longest.
 """
 
 from collections.abc import Callable
@@ -22,8 +23,13 @@ from zope.interface import implementer
 
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.est import peer_certificate, refuse_classical
-from pqsec_pki.server.limiting import Connections, key_of
+from pqsec_pki.server.limiting import Connections, Shares, key_of
 
+_REFUSALS = {
+    411: b"Length Required",
+    413: b"Content Too Large",
+    503: b"Service Unavailable\r\nRetry-After: 10",
+}
 MOST_HEADERS = 64
 """Lines of the header of a request; all together have at most 16 kB, which is Twisted's limit."""
 
@@ -33,7 +39,7 @@ class LimitedRequest(Request):
 
     channel: "LimitedChannel"
     refused = 0
-    """The status of a request whose header is refused; then its body is not kept."""
+    """The status of a request that is refused before it is complete; its body is not kept."""
 
     def gotLength(self, length: int | None) -> None:  # noqa: N802 -- Twisted's name
         """Decide by the header whether the body is read."""
@@ -49,6 +55,12 @@ class LimitedRequest(Request):
         """Keep the octets, which are at most as many as were announced."""
         if not self.refused:
             super().handleContentChunk(data)
+            self.channel.keep(self, len(data))
+
+    def give_up(self) -> None:
+        """Refuse it, because others need its memory."""
+        self.content, self.refused = BytesIO(), 503
+        self.channel.refuse(503)
 
     def requestReceived(self, command: bytes, path: bytes, version: bytes) -> None:  # noqa: N802
         """Answer it. The path is not decoded, and nothing in the body is parsed here."""
@@ -92,6 +104,10 @@ class LimitedChannel(HTTPChannel):
         found: SSL.Connection = self.transport.getHandle()
         return found
 
+    def keep(self, request: LimitedRequest, octets: int) -> None:
+        """So many octets more of an incomplete request are in memory."""
+        self.factory.keep(key_of(self.address), request, octets)
+
     def peer(self) -> bytes:
         """The client's certificate, whose key it has shown to have, in DER; empty for none.
 
@@ -103,7 +119,7 @@ class LimitedChannel(HTTPChannel):
     def connectionMade(self) -> None:  # noqa: N802
         """Begin the time of the first request, with the handshake of TLS."""
         super().connectionMade()
-        self._begin()
+        self.begin()
 
     def handshakeCompleted(self) -> None:  # noqa: N802
         """Close a connection without post-quantum key agreement, unless those are allowed."""
@@ -118,35 +134,42 @@ class LimitedChannel(HTTPChannel):
     def refuse(self, status: int) -> None:
         """Answer a request whose body is not read, and close."""
         self.factory.count(f"refused-{status}")
-        words = {411: b"Length Required", 413: b"Content Too Large"}[status]
+        words = _REFUSALS[status]
         head = b"HTTP/1.1 %d %s\r\nContent-Length: 0\r\nConnection: close\r\n\r\n"
         self.transport.write(head % (status, words))
         self.loseConnection()
 
     def allContentReceived(self) -> None:  # noqa: N802
         """The request came in time; a refused one has no answer that could begin the next time."""
-        if not self.requests[-1].refused:
+        request = self.requests[-1]
+        self.factory.kept.remove(key_of(self.address), request)
+        if not request.refused:
             self._end()
         super().allContentReceived()
 
     def requestDone(self, request: Request) -> None:  # noqa: N802
         """Begin the time of the next one."""
-        self._begin()
+        self.begin()
         super().requestDone(request)
 
     def connectionLost(self, reason: Any) -> None:  # noqa: N802
         """The connection is closed."""
         self._end()
+        for each in self.requests:
+            self.factory.kept.remove(key_of(self.address), each)
         super().connectionLost(reason)
 
-    def _begin(self) -> None:
+    def begin(self) -> None:
+        """Begin a time in which the client has to do something: to send, or to read."""
         self._end()
         self._deadline = self.factory.reactor.callLater(self.factory.seconds, self._late)
+        self.factory.connections.idle(self.transport)
 
     def _end(self) -> None:
         if self._deadline is not None and self._deadline.active():
             self._deadline.cancel()
         self._deadline = None
+        self.factory.connections.busy(self.transport)
 
     def _late(self) -> None:
         self.factory.count("late")
@@ -164,13 +187,22 @@ class Channels(HTTPFactory):
         *,
         seconds: int,
         classical: bool,
+        buffered: int,
+        connections: Connections,
         most: Callable[[bytes], int],
         answer: Callable[[LimitedRequest], None],
         count: Callable[[str], None],
     ) -> None:
         super().__init__(timeout=None, reactor=reactor)  # our own time does not begin again
-        self.seconds, self.classical = seconds, classical
+        self.seconds, self.classical, self.buffered = seconds, classical, buffered
+        self.connections, self.kept = connections, Shares()
         self.most, self.answer, self.count = most, answer, count
+
+    def keep(self, key: str, request: LimitedRequest, octets: int) -> None:
+        """Count octets of an incomplete request; if all have too many, refuse one of them."""
+        self.kept.add(key, request, octets)
+        while self.kept.total > self.buffered:
+            self.kept.to_give_up().give_up()
 
     def log(self, request: Request) -> None:
         """Write nothing: whoever answers writes the log."""
@@ -183,26 +215,36 @@ class TlsChannels(TLSMemoryBIOFactory):
         self,
         context: Callable[[], SSL.Context],
         channels: Channels,
-        connections: Connections,
         reactor: Any,
     ) -> None:
-        self._connections, self._count = connections, channels.count
+        self._connections, self._count = channels.connections, channels.count
         super().__init__(_Contexts(context), isClient=False, wrappedFactory=channels, clock=reactor)
 
     def buildProtocol(self, addr: IAddress | None) -> Protocol | None:  # noqa: N802
         """The connection's protocol; None closes it."""
-        if not self._connections.admit(key_of(str(getattr(addr, "host", "")))):
+        address = key_of(str(getattr(addr, "host", "")))
+        if not (self._connections.admits(address) and self._has_room()):
             self._count("too-many")
             return None
         self._count("connections")
         made = super().buildProtocol(addr)
-        made.counted = key_of(str(getattr(addr, "host", "")))
+        self._connections.opened(made, address)
         return made
+
+    def _has_room(self) -> bool:
+        """Whether one more may be open, after one was closed for it if need be."""
+        if self._connections.total < self._connections.limits.connections:
+            return True
+        found = self._connections.to_close()
+        if found is not None:
+            self._count("closed-for-others")
+            found.abortConnection()
+        return found is not None
 
     def unregisterProtocol(self, p: Any) -> None:  # noqa: N802
         """One connection less."""
         super().unregisterProtocol(p)
-        self._connections.closed(p.counted)
+        self._connections.closed(p)
 
 
 @implementer(IOpenSSLServerConnectionCreator)

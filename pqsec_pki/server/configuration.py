@@ -63,6 +63,8 @@ class ServerLimits:
     """For the TLS handshake and a whole request: from the first octet to the last."""
     body: int = 64 << 10
     """Octets of a request; of a receipt 16 times as many."""
+    buffered: int = 32 << 20
+    """Octets of all requests that are not complete."""
     waiting: int = 500
     """Requests that wait until somebody decides."""
 

@@ -34,6 +34,7 @@ from pqsec_pki.server.channel import LimitedRequest
 from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Rate, RecentKeys, key_of
 from pqsec_pki.server.routes import Route
+from pqsec_pki.server.sending import send
 
 _GIVEN = {200, 204}
 """A note with one of these says who got what."""
@@ -130,9 +131,9 @@ class Exchange:
         self.request.setResponseCode(answer.status)
         for name, value in self._headers(answer, body):
             self.request.responseHeaders.setRawHeaders(name, [value])
-        if answer.status not in {204, 304} and self.request.method != b"HEAD":
-            self.request.write(body)
-        self.request.finish()
+        if answer.status in {204, 304} or self.request.method == b"HEAD":
+            body = b""
+        send(self.request, body)
 
     def _has(self, etag: str) -> bool:
         given = self.request.requestHeaders.getRawHeaders("If-None-Match", [])

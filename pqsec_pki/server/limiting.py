@@ -5,14 +5,18 @@ from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import field
 from ipaddress import IPv6Address, ip_address
+from typing import Any
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki.server.configuration import ServerLimits
 
 MOST_KEYS = 20_000
 """Addresses that are remembered; the one seen longest ago is forgotten first."""
 _NETWORK = 64
 """A host of IPv6 may have all addresses of a network."""
 _MINUTE = 60.0
+_CONNECTIONS = 2
+"""In a minute, as a multiple of requests: who asks too often is told so, and then not heard."""
 
 
 @dataclass(slots=True)
@@ -54,30 +58,105 @@ class RecentKeys:
 
 
 @dataclass(slots=True)
-class Connections:
-    """Counts open connections, of all and of each address."""
+class Shares:
+    """What clients hold of something that is limited, and may have to give up.
 
-    most: int
-    most_of_address: int
-    open: Counter[str] = field(default_factory=Counter)
+    Who holds it is an address; what is held is any object, with an amount.
+    """
+
+    total: int = 0
+    _held: dict[str, dict[Any, int]] = field(default_factory=dict)
+    _sums: Counter[str] = field(default_factory=Counter)
+
+    def add(self, key: str, held: Any, amount: int = 1) -> None:
+        """So much more of it is held."""
+        mine = self._held.setdefault(key, {})
+        mine[held] = mine.get(held, 0) + amount
+        self._sums[key] += amount
+        self.total += amount
+
+    def remove(self, key: str, held: Any) -> None:
+        """It is held no more."""
+        mine = self._held.get(key, {})
+        amount = mine.pop(held, 0)
+        self.total -= amount
+        self._sums[key] -= amount
+        if not mine:
+            self._held.pop(key, None)
+            del self._sums[key]
+
+    def to_give_up(self) -> Any:
+        """What the address with the most has held longest, which is removed; None for nothing.
+
+        Who has little keeps it, however much others want.
+        """
+        if not self._held:
+            return None
+        key = max(self._sums, key=self._sums.__getitem__)
+        found = next(iter(self._held[key]))
+        self.remove(key, found)
+        return found
+
+
+@dataclass(slots=True)
+class Connections:
+    """Counts open connections, of all and of each address.
+
+    If there are too many, one whose request is not complete is closed for a new one.
+    """
+
+    limits: ServerLimits
+    _often: Rate = field(init=False)
+    _addresses: dict[Any, str] = field(default_factory=dict)
+    _open: Counter[str] = field(default_factory=Counter)
+    _idle: Shares = field(default_factory=Shares)
+
+    def __post_init__(self) -> None:
+        self.use(self.limits)
+
+    def use(self, limits: ServerLimits) -> None:
+        """Apply these limits from now on."""
+        self.limits = limits
+        self._often = Rate(_CONNECTIONS * limits.requests_of_address)
 
     @property
     def total(self) -> int:
         """How many are open."""
-        return self.open.total()
+        return len(self._addresses)
 
-    def admit(self, address: str) -> bool:
-        """Whether one more may be open from there; then it is counted."""
-        if self.total >= self.most or self.open[address] >= self.most_of_address:
-            return False
-        self.open[address] += 1
-        return True
+    def admits(self, address: str) -> bool:
+        """Whether that address may have one more."""
+        room = self._open[address] < self.limits.connections_of_address
+        return room and not self._often.wait(address)
 
-    def closed(self, address: str) -> None:
-        """One from there is open no more."""
-        self.open[address] -= 1
-        if self.open[address] <= 0:
-            del self.open[address]
+    def to_close(self) -> Any:
+        """What is closed for a new one, and not counted any more; None if there is nothing."""
+        found = self._idle.to_give_up()
+        self.closed(found)
+        return found
+
+    def opened(self, link: Any, address: str) -> None:
+        """One from there is open."""
+        self._addresses[link] = address
+        self._open[address] += 1
+
+    def idle(self, link: Any) -> None:
+        """Its client has to send something."""
+        if address := self._addresses.get(link):
+            self._idle.add(address, link)
+
+    def busy(self, link: Any) -> None:
+        """Its client waits for an answer."""
+        if address := self._addresses.get(link):
+            self._idle.remove(address, link)
+
+    def closed(self, link: Any) -> None:
+        """It is open no more; this may be told twice."""
+        if address := self._addresses.pop(link, ""):
+            self._idle.remove(address, link)
+            self._open[address] -= 1
+            if not self._open[address]:
+                del self._open[address]
 
 
 def key_of(address: str) -> str:

@@ -22,7 +22,7 @@ from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.metrics import StatusPages
-from pqsec_pki.server.running import bound, given_sockets, notify
+from pqsec_pki.server.running import bound, given_sockets, notify, stay
 
 reactor: Any = _reactor
 _GRACE = 5.0
@@ -45,11 +45,13 @@ class Listening:
         self._settings, self._context = settings, tls_context(settings)
         limits = settings.limits
         self.front = Front(SignerCalls(reactor, settings.socket), limits, _log)
-        self.connections = Connections(limits.connections, limits.connections_of_address)
+        self.connections = Connections(limits)
         self._channels = Channels(
             reactor,
             seconds=limits.seconds,
             classical=settings.classical,
+            buffered=limits.buffered,
+            connections=self.connections,
             most=self.front.most,
             answer=self.front.answer,
             count=self.front.count,
@@ -61,7 +63,7 @@ class Listening:
         settings = self._settings
         _raise_file_limit(settings.limits.connections)
         globalLogBeginner.beginLoggingTo([_observe], redirectStandardIO=False, discardBuffer=True)
-        tls = TlsChannels(lambda: self._context, self._channels, self.connections, reactor)
+        tls = TlsChannels(lambda: self._context, self._channels, reactor)
         for each in given_sockets(os.environ) or [bound(each) for each in settings.listen]:
             self._ports.append(_adopted(each, tls))
         if settings.status:
@@ -71,6 +73,7 @@ class Listening:
             signal.signal(number, lambda *_, call=handler: reactor.callFromThread(call))
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client may go at any time
         signal.signal(signal.SIGINT, signal.getsignal(signal.SIGTERM))
+        stay()
         reactor.callWhenRunning(notify, "READY=1", os.environ)
         reactor.run(installSignalHandlers=False)
 
@@ -86,8 +89,8 @@ class Listening:
         self.front.use(found.limits)
         self._channels.seconds = found.limits.seconds
         self._channels.classical = found.classical
-        self.connections.most = found.limits.connections
-        self.connections.most_of_address = found.limits.connections_of_address
+        self._channels.buffered = found.limits.buffered
+        self.connections.use(found.limits)
         _log({"event": "the configuration was read again"})
 
     def _stop(self) -> None:

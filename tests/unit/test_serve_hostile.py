@@ -17,6 +17,8 @@ from OpenSSL import SSL
 from pqsec_pki.algorithms import pem
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.est import TlsIdentity
+from pqsec_pki.server.configuration import ServerLimits
+from pqsec_pki.server.limiting import Connections
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.tls_sides import certificate
 
@@ -144,6 +146,13 @@ def test_too_many_requests_are_refused_for_their_address_only(server, tmp_path):
     assert int(refused.headers["retry-after"]) >= 1
     reply = server.ask(Robot(server, tmp_path).request, token=server.token("/fleet/r1"))
     assert reply.status == 200
+
+
+def test_who_connects_too_often_is_not_heard_any_more():
+    """Each connection is a handshake of TLS for the server."""
+    connections = Connections(ServerLimits(requests_of_address=2))
+    assert [connections.admits(ENEMY) for _ in range(5)] == [True] * 4 + [False]
+    assert connections.admits(HOST)
 
 
 def test_a_stolen_token_gives_nothing_after_the_robot(server, tmp_path):

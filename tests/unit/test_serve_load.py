@@ -1,0 +1,130 @@
+"""The server among thousands of clients that only take room: memory has a bound, robots are served.
+
+In `.ci/long` with 10,000 connections, or as many as this machine lets a process have.
+"""
+
+import resource
+import time
+from contextlib import ExitStack, contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+from socket import socket
+
+import pytest
+from OpenSSL import SSL
+
+from tests.longer import LONG
+from tests.unit.serving import HOST, Robot, Server, basic, received, reply_in
+from tests.unit.test_serve_hostile import counted, until
+
+MIB = 1 << 20
+OF_ADDRESS = 50
+HALF_OPEN, SLOW, READERS = (10_000, 600, 60) if LONG else (1000, 40, 20)
+ROOM = 2000 if LONG else 100
+BUFFERED = (32 if LONG else 2) * MIB
+RECEIPT = b"POST /pqsec/v1/receipts HTTP/1.1\r\nHost: x\r\nContent-Length: 1000000\r\n\r\n"
+LIMITS = {"connections": ROOM, "connections_of_address": OF_ADDRESS, "buffered": BUFFERED}
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    limits = LIMITS | {"requests_of_address": 10_000, "seconds": 60 if LONG else 15}
+    made = Server(tmp_path_factory.mktemp("serve"), datetime.now(UTC), limits=limits)
+    with made.running():
+        assert Robot(made, made.folder / "first").name  # keys are made before memory is measured
+        assert made.send("GET", "/pqsec/v1/head").status == 200
+        yield made
+
+
+def most_memory(server):
+    """The most that the process that faces the network ever had in memory, in octets."""
+    pid = server.process.pid
+    [front] = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    lines = Path(f"/proc/{front}/status").read_text().splitlines()
+    return 1024 * next(int(line.split()[1]) for line in lines if line.startswith("VmHWM:"))
+
+
+def address_of(number):
+    """Where connection `number` comes from: as many from one address as the server allows."""
+    network, host = divmod(number // OF_ADDRESS, 250)
+    return f"127.1.{network}.{host + 1}"
+
+
+@contextmanager
+def half_open(server, count):
+    """So many connections that send nothing; those that the server closes stay at this end."""
+    hard = resource.getrlimit(resource.RLIMIT_NOFILE)[1]
+    resource.setrlimit(resource.RLIMIT_NOFILE, (hard, hard))
+    with ExitStack() as stack:
+        for number in range(min(count, hard - 500)):
+            link = stack.enter_context(socket())
+            link.bind((address_of(number), 0))
+            link.connect((HOST, server.port))
+        yield
+
+
+def is_served(server, name, folder):
+    made = Robot(server, folder, name)
+    return server.ask(made.request, token=server.token(name)).status == 200
+
+
+def test_half_open_connections_take_little_memory_and_nobodys_place(server, tmp_path):
+    before, closed = most_memory(server), counted(server, "closed-for-others")
+    with half_open(server, HALF_OPEN):
+        until(lambda: counted(server, "closed-for-others") >= closed + HALF_OPEN - ROOM - 5)
+        assert is_served(server, "/fleet/r1", tmp_path)
+    assert most_memory(server) - before < ROOM * (100 << 10) + 8 * MIB
+
+
+def test_bodies_that_never_end_take_a_bounded_amount_of_memory(server, tmp_path):
+    before = most_memory(server)
+    robot, token = Robot(server, tmp_path, "/fleet/r2"), server.token("/fleet/r2")
+    lines = ["POST /pqsec/v1/requests HTTP/1.1", "Host: x", "Connection: close"]
+    lines += ["Content-Type: application/x-pem-file", f"Authorization: {basic(token)}"]
+    lines.append(f"Content-Length: {len(robot.request.pem)}")
+    with ExitStack() as stack:
+        honest = stack.enter_context(server.connect(source="127.0.0.9"))
+        honest.sendall("\r\n".join([*lines, "", ""]).encode() + robot.request.pem[:4000])
+        for number in range(SLOW):
+            link = stack.enter_context(server.connect(source=address_of(number)))
+            with suppress(SSL.Error, OSError):
+                link.sendall(RECEIPT + bytes(999_999))
+        until(lambda: counted(server, "refused-503") >= SLOW - BUFFERED // 999_999 - 1)
+        honest.sendall(robot.request.pem[4000:])
+        assert reply_in(received(honest)).status == 200
+    assert most_memory(server) - before < BUFFERED + SLOW * (100 << 10) + 8 * MIB
+
+
+def test_who_is_refused_for_others_is_told_when_to_come_again(server):
+    with server.connect(source=address_of(0)) as link:
+        others = [server.connect(source=address_of(0)) for _ in range(BUFFERED // 900_000)]
+        with ExitStack() as stack:
+            link.sendall(RECEIPT + bytes(900_000))
+            for each in others:
+                stack.enter_context(each).sendall(RECEIPT + bytes(900_000))
+            reply = reply_in(received(link))
+    assert (reply.status, reply.headers["retry-after"]) == (503, "10")
+
+
+def test_an_answer_that_nobody_reads_is_not_in_memory_once_for_each(server):
+    """The revocation list stands for whatever is large: the front sends what the signer gives."""
+    data = bytes(range(256)) * (4 * MIB // 256)
+    path = server.keystore.revocation_list_path
+    path.write_bytes(data)
+    ask = b"GET /pqsec/v1/revocation-lists HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+    try:
+        assert server.send("GET", "/pqsec/v1/revocation-lists").body == data
+        before = most_memory(server)
+        with ExitStack() as stack:
+            links = [
+                stack.enter_context(server.connect(source=address_of(number)))
+                for number in range(READERS)
+            ]
+            for link in links:
+                link.sendall(ask)
+            time.sleep(1)
+            grown = most_memory(server) - before
+            assert reply_in(received(links[0])).body == data
+    finally:
+        path.unlink()
+    assert grown < READERS * (200 << 10) + 40 * MIB  # what several asked at once came several times
