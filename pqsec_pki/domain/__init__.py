@@ -24,6 +24,7 @@ if TYPE_CHECKING:
         propose_command,
     )
     from pqsec_pki.domain.desired import Desired, Member, Role
+    from pqsec_pki.domain.devices import FACTORY, Device
     from pqsec_pki.domain.importing import Imported, import_domain
     from pqsec_pki.domain.ordered import OrderedIssue, ordered_issue, perform_order
     from pqsec_pki.domain.planning import plan
@@ -34,11 +35,13 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "FACTORY",
     "KINDS",
     "ApprovedPlan",
     "Blocked",
     "CommandReview",
     "Desired",
+    "Device",
     "Imported",
     "Member",
     "OrderedIssue",

@@ -10,7 +10,16 @@ from sys import intern
 from typing import Any
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.documents.parts_yaml import Readers, Text, chosen, domains, refused, text
+from pqsec_pki.documents.parts_yaml import (
+    Item,
+    Readers,
+    Text,
+    build,
+    chosen,
+    domains,
+    refused,
+    text,
+)
 from pqsec_pki.domain._listing import (
     MAX_PARTICIPANTS,
     MAX_PROBLEMS,
@@ -21,12 +30,19 @@ from pqsec_pki.domain._listing import (
 )
 from pqsec_pki.domain._placeholders import OWN, fit
 from pqsec_pki.domain.desired import Member, Role, validity_in
+from pqsec_pki.domain.devices import Device
 from pqsec_pki.enrolment import flat_name
 from pqsec_pki.errors import InvalidDocumentError, located, shown
 from pqsec_pki.problems import Problem
 
+
+def device(item: Item) -> Device:
+    """The device of a participant; InvalidDocumentError for another text."""
+    return build(item, lambda: Device.of(text(item)))
+
+
 _NOTHING: Mapping[str, str] = {}
-_COLUMNS: Readers = {"domains": domains, "validity": validity_in, "request": text}
+_COLUMNS: Readers = {"domains": domains, "validity": validity_in, "request": text, "idevid": device}
 """The columns of a row besides name and role."""
 _PATTERN = re.compile(r"[*?\[\\]")
 """The special characters of POSIX fnmatch."""
@@ -118,6 +134,7 @@ class _Collector:
             source=self._source,
             request=self._path(each.name, order or settings.get("request"), bool(order)),
             by_order=bool(order),
+            device=settings.get("idevid"),
         )
 
     def _path(self, name: str, request: str | None, ordered: bool) -> Path | None:  # noqa: FBT001

@@ -18,7 +18,7 @@ from pqsec_pki.documents.parts_yaml import (
     table,
     text,
 )
-from pqsec_pki.domain._members import ParticipantItem
+from pqsec_pki.domain._members import ParticipantItem, device
 from pqsec_pki.domain._placeholders import OWN, digest_of, filled, fit, placeholders_in, without
 from pqsec_pki.domain.desired import ROLE_KEYS, Role, rules_of, validity_in
 
@@ -71,6 +71,7 @@ def entry_in(roles: Mapping[str, Role] | None, item: Item) -> ParticipantItem:
         "list": text,
         "request": _file_name,
         "order": _file_name,
+        "idevid": device,
         "role": text if roles is None else partial(_named_role, roles),
         "values": _values,
     }

@@ -23,6 +23,7 @@ from pqsec_pki.documents.parts_yaml import (
     rules_in,
 )
 from pqsec_pki.domain._placeholders import filled, own_values
+from pqsec_pki.domain.devices import Device
 from pqsec_pki.errors import located
 from pqsec_pki.lifecycle import ParticipantSpec
 
@@ -85,6 +86,8 @@ class Member:
     """The path of its request, which may not exist yet; None if its keys are made here."""
     by_order: bool = False
     """Whether the request must be in an order of a registration authority, within its grant."""
+    device: Device | None = None
+    """With whose certificate it may enrol at the server; None for none."""
 
     @property
     def config_digest(self) -> str:

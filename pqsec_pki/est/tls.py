@@ -139,6 +139,13 @@ def peer_certificate(connection: SSL.Connection) -> Certificate | None:
     return _certificate(found) if found else None
 
 
+def peer_chain(connection: SSL.Connection) -> tuple[bytes, ...]:
+    """What the client sent after its certificate, in DER; nobody verified it."""
+    own, found = connection.get_peer_certificate(), connection.get_peer_cert_chain() or ()
+    dumped = [crypto.dump_certificate(crypto.FILETYPE_ASN1, each) for each in (own, *found) if each]
+    return tuple(each for each in dumped if each != dumped[0])
+
+
 def _context(method: int, *, classical: bool) -> SSL.Context:
     context = SSL.Context(method)
     oldest = SSL.TLS1_2_VERSION if classical else SSL.TLS1_3_VERSION

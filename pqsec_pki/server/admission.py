@@ -5,6 +5,7 @@ domain file: a request only says which participant asks, and for which keys.
 """
 
 from collections import Counter
+from collections.abc import Mapping
 from dataclasses import field, replace
 from datetime import datetime
 
@@ -15,20 +16,20 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.domain import Desired, Member
 from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.keystore import (
-    Entry,
     Keystore,
     Ledger,
     ParticipantState,
     key_hashes,
     participant_states,
 )
-from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
+from pqsec_pki.lifecycle import PublicKeys
 from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.factories import Factory, factory_of
+from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.token_lines import (
     ADMISSION,
-    TokenState,
     admission_entry,
     by_token,
     presented,
@@ -38,53 +39,10 @@ from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRoom, decision_on
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
 """The name of an admission by somebody who approved the request."""
+_DEVICE = "device"
+"""The begin of the name of an admission by a factory's certificate."""
+_NEW_KEY = "make a new one for it"
 _NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
-
-
-class NotAdmittedError(PqsecError):
-    """The request is refused, with this status of HTTP."""
-
-    def __init__(self, status: int, words: str, *, retry_after: int = 0) -> None:
-        super().__init__(words)
-        self.status, self.retry_after = status, retry_after
-
-
-@dataclass(frozen=True, slots=True)
-class Admitted:
-    """A request that may be answered."""
-
-    name: str
-    by: str
-    """The name of its admission in the ledger."""
-    spec: ParticipantSpec | None = None
-    """What is to be issued; None if that was done before."""
-    line: Entry | None = None
-    """The line that the ledger gets with it."""
-    replaces: bool = False
-    """Whether the participant exists."""
-
-
-@dataclass(frozen=True, slots=True)
-class Requester:
-    """Who asks: the holder of a token or of a participant's certificate, or nobody known."""
-
-    name: str
-    """Of the participant; empty for a token."""
-    by: str
-    token: TokenState | None = None
-    certificate: Certificate | None = None
-
-    def refuse_other_name(self, name: str) -> None:
-        """NotAdmittedError if it may not ask for `name`."""
-        if self.token is not None and not self.token.admits(name):
-            raise NotAdmittedError(403, f"the enrolment token is not for {name}")
-        if self.certificate is not None and self.name != name:
-            raise NotAdmittedError(403, f"the client certificate is not for {name}")
-
-    def refuse_used(self, now: datetime) -> None:
-        """NotAdmittedError if its token admits nobody any more."""
-        if self.token is not None and (why := self.token.end(now)):
-            raise NotAdmittedError(401, f"the enrolment token is {why}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +61,8 @@ class Admission:
     """Seconds until the client of such a request shall ask again."""
     taken: Counter[str] = field(default_factory=Counter)
     """What was admitted since the ledger was read: names, and the tokens that admitted them."""
+    factories: Mapping[str, Factory] = field(default_factory=dict)
+    """Whose devices may enrol, by the names that the domain file has."""
 
     def of(self, call: SignerCall) -> Admitted:
         """The request that may be answered; NotAdmittedError if it may not."""
@@ -115,6 +75,8 @@ class Admission:
             raise NotAdmittedError(403, f"the request is refused: {NAMELESS}")
         holder.refuse_other_name(name)
         member = self._member(name, call.label)
+        if holder.device:
+            holder = self._identified(holder.device, member, request, call)
         if self._was_answered(name, request, holder.by):
             return Admitted(name, holder.by)
         held = self._held(name)
@@ -122,12 +84,12 @@ class Admission:
             raise NotAdmittedError(403, f"{name} is enrolled by a registration authority's order")
         keys = _keys(request, name, self.keystore.profile)
         hashes = key_hashes(keys.key, keys.alternative)
-        holder.refuse_used(self.now)
+        self._refuse_used(holder, name)
         self._refuse_state(held, holder, hashes)
         if holder.by == _APPROVED:
             self._refuse_undecided(request, name, call)
         self._take(name, holder)
-        line = admission_entry(holder.by, name, request, self.now)
+        line = admission_entry(holder.by, name, request, self.now, certificate=holder.device)
         spec = replace(member.spec(), keys=keys)
         return Admitted(name, holder.by, spec, line, replaces=held is not None)
 
@@ -169,7 +131,10 @@ class Admission:
         if call.token and call.kind is not CallKind.REENROL:
             return self._of_token(call)
         if call.certificate:
-            return self._of_certificate(Certificate.from_der(call.certificate))
+            shown = Certificate.from_der(call.certificate)
+            if self.factories and call.kind is not CallKind.REENROL and not self._is_ours(shown):
+                return Requester("", _DEVICE, device=shown)
+            return self._of_certificate(shown)
         if call.kind is CallKind.REENROL:
             raise NotAdmittedError(401, "show the current certificate as client certificate")
         return Requester("", _APPROVED if self.waiting else "")
@@ -182,11 +147,38 @@ class Admission:
             raise NotAdmittedError(401, "the enrolment token was revoked")
         return Requester("", by_token(found.id), token=found)
 
+    def _is_ours(self, certificate: Certificate) -> bool:
+        """Whether it is of a participant, by the ledger: it knows each that was issued."""
+        lines = self.ledger.of_name("participant", _common_name(certificate))
+        return any(each.sha256 == certificate.fingerprint for each in lines)
+
+    def _identified(
+        self, shown: Certificate, member: Member, request: CertificateRequest, call: SignerCall
+    ) -> Requester:
+        """The device that the domain file has for the participant; NotAdmittedError."""
+        factory = factory_of(member, shown, self.factories)
+        if request.spki == shown.spki:
+            raise NotAdmittedError(403, f"the request is for the factory's key: {_NEW_KEY}")
+        try:
+            factory.verify(shown, call.chain, self.now)
+        except VerificationError as error:
+            raise NotAdmittedError(403, f"the factory certificate is refused: {error}") from None
+        by = f"{_DEVICE} {member.device}"
+        return Requester("", by, device=shown, again=factory.again)
+
+    def _refuse_used(self, holder: Requester, name: str) -> None:
+        """NotAdmittedError if its token, or its line of the inventory, admits nobody any more."""
+        holder.refuse_used(self.now)
+        if holder.device is None or holder.again:
+            return
+        lines = self.ledger.of_name(ADMISSION, holder.by)
+        if any(each.details.get("participant") == name for each in lines):
+            raise NotAdmittedError(403, f"the device has enrolled as {name} before: {_NEW_TOKEN}")
+
     def _of_certificate(self, certificate: Certificate) -> Requester:
-        """The participant, by the ledger: it knows each certificate that was issued."""
+        """The participant, by the ledger."""
         name = _common_name(certificate)
-        lines = self.ledger.of_name("participant", name)
-        if not any(each.sha256 == certificate.fingerprint for each in lines):
+        if not self._is_ours(certificate):
             raise NotAdmittedError(403, "the client certificate was not issued here")
         revoked = self.ledger.of_name("revocation", name)
         if any(each.sha256 == certificate.fingerprint for each in revoked):
@@ -247,6 +239,10 @@ class Admission:
             raise NotAdmittedError(403, f"{held.name} was revoked")
         if holder.by == _APPROVED:
             return  # who approved it saw that it replaces a certificate
+        if holder.device is not None:
+            if not holder.again and held.keys != keys:
+                raise NotAdmittedError(409, f"{held.name} has a certificate for another key")
+            return
         if holder.token is not None:
             if not holder.token.replaces and held.keys != keys:
                 raise NotAdmittedError(

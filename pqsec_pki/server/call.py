@@ -54,6 +54,8 @@ class SignerCall:
     secret: str = field(default="", repr=False)
     certificate: bytes = field(default=b"", repr=False)
     """DER; empty without one."""
+    chain: tuple[bytes, ...] = field(default=(), repr=False)
+    """The CAs that the client sent with it, in DER; nobody verified them."""
     body: bytes = field(default=b"", repr=False)
     """DER of a request, or a receipt."""
 
@@ -66,6 +68,7 @@ class SignerCall:
             "token": self.token,
             "secret": self.secret,
             "certificate": base64.b64encode(self.certificate).decode(),
+            "chain": [base64.b64encode(each).decode() for each in self.chain],
         }
         return packed(header, self.body)
 
@@ -75,10 +78,11 @@ class SignerCall:
         try:
             texts = {key: str(header[key]) for key in ("label", "address", "token", "secret")}
             certificate = base64.b64decode(header["certificate"], validate=True)
+            chain = tuple(base64.b64decode(each, validate=True) for each in header["chain"])
             kind = CallKind(header["kind"])
         except (KeyError, TypeError, ValueError):
             raise MalformedError("not a call of pqsec serve") from None
-        return cls(kind=kind, certificate=certificate, body=body, **texts)
+        return cls(kind=kind, certificate=certificate, chain=chain, body=body, **texts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

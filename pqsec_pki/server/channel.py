@@ -22,7 +22,7 @@ from twisted.web.http import HTTPChannel, HTTPFactory, Request
 from zope.interface import implementer
 
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.est import peer_certificate, refuse_classical
+from pqsec_pki.est import peer_certificate, peer_chain, refuse_classical
 from pqsec_pki.server.limiting import Connections, Shares, key_of
 
 _REFUSALS = {
@@ -115,6 +115,10 @@ class LimitedChannel(HTTPChannel):
         """
         found = peer_certificate(self.connection)
         return found.der if found else b""
+
+    def peer_chain(self) -> tuple[bytes, ...]:
+        """The CAs that the client sent with its certificate, in DER; nothing of it is verified."""
+        return peer_chain(self.connection)
 
     def connectionMade(self) -> None:  # noqa: N802
         """Begin the time of the first request, with the handshake of TLS."""

@@ -9,6 +9,7 @@ Paths are relative to its folder. Errors name the file and the line.
 """
 
 import re
+from collections.abc import Mapping
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -29,9 +30,11 @@ from pqsec_pki.documents.parts_yaml import (
     one_or_more,
     read,
     refused,
+    table,
     text,
 )
-from pqsec_pki.errors import located
+from pqsec_pki.domain import FACTORY
+from pqsec_pki.errors import located, shown
 from pqsec_pki.est import checked_url
 from pqsec_pki.server.waiting import WaitingRoom
 
@@ -45,6 +48,16 @@ class TlsFiles:
 
     chain: Path
     key: Path
+
+
+@dataclass(frozen=True, slots=True)
+class FactoryFiles:
+    """The CAs of a factory, and their revocation lists."""
+
+    cas: Path
+    lists: tuple[Path, ...] = ()
+    again: bool = False
+    """Whether a device may enrol again, which replaces its certificate."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +101,8 @@ class ServerSettings:
     passphrase_file: Path | None
     front_user: str
     """The user of the process that faces the network; empty for the signer's own."""
+    factories: Mapping[str, FactoryFiles]
+    """By the names that the domain file has."""
     approval: bool
     """Whether requests without a token wait until somebody decides."""
     retry: int
@@ -128,6 +143,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "classical": boolean,
         "passphrase_file": file,
         "front_user": text,
+        "factories": partial(_factories, folder),
         "approval": boolean,
         "retry_seconds": _positive,
         "renew": partial(chosen, names=("due", "any-time")),
@@ -146,6 +162,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "classical": False,
         "passphrase_file": None,
         "front_user": "",
+        "factories": {},
         "approval": False,
         "token_validity": timedelta(days=7),
         "limits": ServerLimits(),
@@ -162,6 +179,25 @@ def _tls(folder: Path, item: Item) -> TlsFiles:
     file = partial(_path, folder)
     found = fields(item, {"chain": file, "key": file}, required=("chain", "key"))
     return TlsFiles(**found)
+
+
+def _factories(folder: Path, item: Item) -> dict[str, FactoryFiles]:
+    found = table(item)
+    for key, _ in found.entries.values():
+        if not FACTORY.fullmatch(key.text):
+            raise refused(key, f"'{shown(key.text)}' cannot be the name of a factory")
+    return fields(found, dict.fromkeys(found.entries, partial(_factory, folder)))
+
+
+def _factory(folder: Path, item: Item) -> FactoryFiles:
+    file = partial(_path, folder)
+    readers: Readers = {
+        "cas": file,
+        "revocation_lists": partial(one_or_more, reader=file),
+        "again": boolean,
+    }
+    found = fields(item, readers, required=("cas",))
+    return FactoryFiles(found["cas"], found.get("revocation_lists", ()), found.get("again", False))
 
 
 def _path(folder: Path, item: Item) -> Path:

@@ -7,6 +7,7 @@ from what the keystore has then, so the answer to a repeated request is the same
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import field
 from datetime import datetime
 from functools import cached_property
 from http import HTTPStatus
@@ -36,8 +37,10 @@ from pqsec_pki.keystore import (
     load_certificate,
 )
 from pqsec_pki.lifecycle import issue
-from pqsec_pki.server.admission import Admission, Admitted, NotAdmittedError, Requester
+from pqsec_pki.server.admission import Admission
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
+from pqsec_pki.server.factories import Factory
+from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.waiting import WaitingRoom
 
 
@@ -54,6 +57,7 @@ class Desk:
     any_time: bool = False
     waiting: WaitingRoom | None = None
     retry: int = 60
+    factories: Mapping[str, Factory] = field(default_factory=dict)
 
     def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         """The answer to each call; those that issue are one change of the keystore."""
@@ -103,6 +107,7 @@ class Desk:
             self.any_time,
             self.waiting,
             self.retry,
+            factories=self.factories,
         )
 
     def _issue(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:

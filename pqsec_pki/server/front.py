@@ -191,6 +191,7 @@ def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCa
         token=token,
         secret=secret,
         certificate=request.channel.peer(),
+        chain=request.channel.peer_chain(),
         body=_content(route, request),
     )
 

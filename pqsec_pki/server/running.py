@@ -21,6 +21,7 @@ from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.desk import Desk, file_version
+from pqsec_pki.server.factories import read_factories
 from pqsec_pki.server.signer import SignerProcess, listening, users_of
 
 _FIRST_GIVEN = 3
@@ -52,8 +53,9 @@ def run_signer(
     def load() -> Desk:
         found = read_settings(settings.path)
         version = file_version(found.domain)
+        opened = Keystore.open(settings.keystore, to_change=True)
         return Desk(
-            keystore=Keystore.open(settings.keystore, to_change=True),
+            keystore=opened,
             authorities=authorities,
             desired=read_domain(found.domain),
             version=version,
@@ -61,6 +63,7 @@ def run_signer(
             any_time=found.renew_any_time,
             waiting=found.room if found.approval else None,
             retry=found.retry,
+            factories=read_factories(found.factories, opened.anchors.identity_cas),
         )
 
     make_state(settings)

@@ -8,7 +8,7 @@ from datetime import datetime
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.certificates import CertificateRequest
+from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.errors import KeystoreError, UsageError, shown
 from pqsec_pki.est import EnrolmentToken, is_secret
 from pqsec_pki.keystore import (
@@ -162,8 +162,19 @@ def _ends(found: Iterable[Entry], now: datetime) -> Iterator[Entry]:
         )
 
 
-def admission_entry(by: str, name: str, request: CertificateRequest, now: datetime) -> Entry:
-    """The line that says by what the request of the participant `name` was admitted."""
+def admission_entry(
+    by: str,
+    name: str,
+    request: CertificateRequest,
+    now: datetime,
+    *,
+    certificate: Certificate | None = None,
+) -> Entry:
+    """The line that says by what the request of the participant `name` was admitted.
+
+    `certificate` is that of the device, by its factory.
+    """
+    shown = {"certificate": certificate.fingerprint} if certificate else {}
     return Entry(
         at=now.isoformat(timespec="seconds"),
         kind=ADMISSION,
@@ -171,5 +182,5 @@ def admission_entry(by: str, name: str, request: CertificateRequest, now: dateti
         serial=None,
         sha256=request.fingerprint,
         not_after=None,
-        details={"participant": name},
+        details={"participant": name, **shown},
     )

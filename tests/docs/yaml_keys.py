@@ -54,6 +54,7 @@ def parts() -> Iterator[str]:
     yield from ("### Placeholders", _PLACEHOLDERS)
     serve = _schema("serve")
     yield from ("## The server's configuration", table(_HEADS, _keys(serve, serve)))
+    yield from ("### A factory", table(_HEADS, _keys(serve, serve["$defs"]["factory"])))
     yield from ("### Limits", table(_HEADS, _keys(serve, serve["$defs"]["limits"])))
 
 

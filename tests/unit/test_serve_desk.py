@@ -2,8 +2,8 @@
 
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.lifecycle import ParticipantSpec
-from pqsec_pki.server.admission import Admitted
 from pqsec_pki.server.desk import Desk
+from pqsec_pki.server.requester import Admitted
 from tests.unit.keystores import DAY, NOW, made
 
 

@@ -1,0 +1,61 @@
+"""Who asks, what may be answered, and the refusal of the rest."""
+
+from datetime import datetime
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import Entry
+from pqsec_pki.lifecycle import ParticipantSpec
+from pqsec_pki.server.token_lines import TokenState
+
+
+class NotAdmittedError(PqsecError):
+    """The request is refused, with this status of HTTP."""
+
+    def __init__(self, status: int, words: str, *, retry_after: int = 0) -> None:
+        super().__init__(words)
+        self.status, self.retry_after = status, retry_after
+
+
+@dataclass(frozen=True, slots=True)
+class Admitted:
+    """A request that may be answered."""
+
+    name: str
+    by: str
+    """The name of its admission in the ledger."""
+    spec: ParticipantSpec | None = None
+    """What is to be issued; None if that was done before."""
+    line: Entry | None = None
+    """The line that the ledger gets with it."""
+    replaces: bool = False
+    """Whether the participant exists."""
+
+
+@dataclass(frozen=True, slots=True)
+class Requester:
+    """Who asks: the holder of a token or of a participant's certificate, or nobody known."""
+
+    name: str
+    """Of the participant; empty for a token."""
+    by: str
+    token: TokenState | None = None
+    certificate: Certificate | None = None
+    """Of the participant."""
+    device: Certificate | None = None
+    """That of its factory."""
+    again: bool = False
+    """Whether that device may enrol again."""
+
+    def refuse_other_name(self, name: str) -> None:
+        """NotAdmittedError if it may not ask for `name`."""
+        if self.token is not None and not self.token.admits(name):
+            raise NotAdmittedError(403, f"the enrolment token is not for {name}")
+        if self.certificate is not None and self.name != name:
+            raise NotAdmittedError(403, f"the client certificate is not for {name}")
+
+    def refuse_used(self, now: datetime) -> None:
+        """NotAdmittedError if its token admits nobody any more."""
+        if self.token is not None and (why := self.token.end(now)):
+            raise NotAdmittedError(401, f"the enrolment token is {why}")
