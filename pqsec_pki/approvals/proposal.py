@@ -95,6 +95,8 @@ class PlanProposal:
     """The kinds of its changes that need approvals."""
     prune: bool
     new_keys: bool
+    only: str
+    """identity or permissions, if it has the steps of one CA only; empty for all."""
     steps: tuple[ProposedStep, ...]
     rights: tuple[ChangedRights, ...]
 
@@ -116,6 +118,7 @@ class PlanProposal:
                 needs=items(found["needs"], lambda each: Covered(text(each))),
                 prune=boolean(found["prune"]),
                 new_keys=boolean(found["new_keys"]),
+                only=text(found["only"]),
                 steps=items(found["steps"], ProposedStep.from_json),
                 rights=items(found["rights"], ChangedRights.from_json),
             )
@@ -134,6 +137,7 @@ class PlanProposal:
             "needs": list(self.needs),
             "prune": self.prune,
             "new_keys": self.new_keys,
+            "only": self.only,
             "steps": [each.to_json() for each in self.steps],
             "rights": [each.to_json() for each in self.rights],
         }
@@ -155,7 +159,7 @@ class PlanProposal:
 
 _FIELDS = (
     *("proposer", "made_at", "expires", "domain_file", "domain_sha256", "head", "policy"),
-    *("needs", "prune", "new_keys", "steps", "rights"),
+    *("needs", "prune", "new_keys", "only", "steps", "rights"),
 )
 
 

@@ -17,8 +17,11 @@ from pqsec_pki.cli.approve import approval_path, read_approval, read_proposal
 from pqsec_pki.cli.approve import lines as proposal_lines
 from pqsec_pki.cli.plan import (
     PROPOSAL_SUFFIX,
+    chosen_ca,
     file_argument,
     new_keys_option,
+    note_left,
+    only_option,
     prune_option,
     show,
 )
@@ -41,13 +44,16 @@ from pqsec_pki.domain import (
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.enrolment import refresh
 from pqsec_pki.errors import PqsecError, UsageError
-from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.keystore import Authorities, Keystore, SigningCa
 
 
 @_help.command(
     examples={
         "Make the changes of `pqsec plan`, without a question": ("pqsec apply domain.yaml --yes"),
         "Test whether the keystore matches the file": "pqsec apply domain.yaml --check",
+        "Make those that need the keys of the identity CA only": (
+            "pqsec apply domain.yaml --only identity --yes"
+        ),
         "Make the changes of a plan that was approved": "pqsec apply plan.json --yes",
         "Also write bundles for robots that generated their own keys": (
             "pqsec apply domain.yaml --yes --bundles bundles"
@@ -69,6 +75,7 @@ from pqsec_pki.keystore import Authorities, Keystore
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @prune_option
 @new_keys_option
+@only_option
 @click.option(
     "--bundles",
     "folder",
@@ -98,6 +105,7 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
     passphrase_file: Path | None,
     folder: Path | None,
     approval_files: tuple[Path, ...],
+    only: str | None,
     *,
     check: bool,
     yes: bool,
@@ -118,12 +126,17 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         raise UsageError(
             "--check and --bundles exclude each other", hint="--check does not write anything"
         )
-    if words := _command_of(file, is_chosen=prune or new_keys):
+    part = chosen_ca(only)
+    if words := _command_of(file, is_chosen=prune or new_keys or bool(part)):
         _refuse_choices(check=check, bundles=bool(folder))
         _run(words, file, approval_files, passphrase_file, yes=yes, none=no_passphrase)
         return
-    wanted = _wanted(file, approval_files, check=check, prune=prune, new_keys=new_keys)
+    wanted = _wanted(file, approval_files, part, check=check, prune=prune, new_keys=new_keys)
     desired, keystore, found = wanted.desired, wanted.keystore, wanted.found
+    if folder and found.only is SigningCa.IDENTITY:
+        raise UsageError(
+            "--bundles are written where the permissions are signed, and not with --only identity"
+        )
     changes, done = bool(found.steps) and not check, list[Step]()
     if changes:
         if not yes:
@@ -147,7 +160,7 @@ def _command_of(file: Path, *, is_chosen: bool) -> list[str] | None:
     if file.suffix != PROPOSAL_SUFFIX:
         return None
     if is_chosen:
-        raise UsageError("--prune and --new-keys are for a domain file: a plan says all")
+        raise UsageError("--prune, --new-keys and --only are for a domain file: a plan says all")
     return command_in(read_proposal(file)[0])
 
 
@@ -175,21 +188,29 @@ class _Wanted:
         return begun.keystore, begun.plan
 
 
-def _wanted(
-    file: Path, approval_files: tuple[Path, ...], *, check: bool, prune: bool, new_keys: bool
+def _wanted(  # noqa: PLR0913 -- the options of the command
+    file: Path,
+    approval_files: tuple[Path, ...],
+    part: SigningCa | None,
+    *,
+    check: bool,
+    prune: bool,
+    new_keys: bool,
 ) -> _Wanted:
     """What the domain file or the plan in `file` wants."""
     if file.suffix == PROPOSAL_SUFFIX:
         return _of_plan(file, approval_files, check=check)
     if approval_files:
         raise UsageError("--approval is for a plan", hint="`pqsec plan` with -o makes one")
-    return _of_domain(file, check=check, prune=prune, new_keys=new_keys)
+    return _of_domain(file, part, check=check, prune=prune, new_keys=new_keys)
 
 
-def _of_domain(file: Path, *, check: bool, prune: bool, new_keys: bool) -> _Wanted:
+def _of_domain(
+    file: Path, part: SigningCa | None, *, check: bool, prune: bool, new_keys: bool
+) -> _Wanted:
     desired, now = read_domain(file), _settings.now()
     keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
-    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
+    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys, only=part)
     if keystore and not check:
         refuse_unapproved(desired, keystore, found, now=now)
     return _Wanted(desired, keystore, found)
@@ -250,7 +271,8 @@ def _made(
         passphrase, now = passphrases.new(), _settings.now()
         changed = change_profile(desired, keystore, found, passphrase=passphrase, now=now)
         return changed, [*found.steps]
-    keystore, authorities = passphrases.opened(desired, keystore)
+    cas = (found.only,) if found.only else ()
+    keystore, authorities = passphrases.opened(desired, keystore, *cas)
     bundles = _BundleWriter(desired, keystore, found, folder)
     return keystore, _apply_steps(desired, keystore, authorities, found, bundles)
 
@@ -275,10 +297,12 @@ class _CaPassphrases:
         """For new CAs; None if their keys are left unencrypted."""
         return _passphrases.new(self.file, none=self.none)
 
-    def opened(self, desired: Desired, keystore: Keystore | None) -> tuple[Keystore, Authorities]:
-        """The keystore, created if it does not exist, and its CAs."""
+    def opened(
+        self, desired: Desired, keystore: Keystore | None, *cas: SigningCa
+    ) -> tuple[Keystore, Authorities]:
+        """The keystore, created if it does not exist, and its CAs, or those of `cas`."""
         if keystore:
-            return keystore, _passphrases.unlock(keystore, self.file)
+            return keystore, _passphrases.unlock(keystore, self.file, *cas)
         path, passphrase = _settings.keystore_path(), self.new()
         keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
         if self.none:
@@ -351,6 +375,7 @@ def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Pat
         )
     for each in found.blocked:
         _printing.note(f"{each.name} {each.why}: not changed")
+    note_left(found)
     if any(step.action in {StepAction.REVOKE, StepAction.RENEW_CRL} for step in done):
         _printing.note("there is a new revocation list: copy it to every robot")
     changed = {step.name for step in done if step.name and step.action is not StepAction.REVOKE}

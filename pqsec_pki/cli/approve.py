@@ -101,6 +101,8 @@ def lines(proposal: PlanProposal, plan: Path) -> Iterator[str]:
     yield f"by {proposal.proposer}, until {proposal.expires:%Y-%m-%d %H:%M} UTC"
     if proposal.domain_file:
         yield f"domain file: {proposal.domain_file}, {_state_of(proposal, plan)}"
+    if proposal.only:
+        yield f"only what needs the keys of the {proposal.only} CA"
     yield f"state of the keystore: {proposal.head}"
     alike: dict[tuple[str, str], list[str]] = {}
     for step in proposal.steps:

@@ -22,7 +22,7 @@ from pqsec_pki.domain import (
 )
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, SigningCa
 
 DEFAULT_FILE = Path("domain.yaml")
 PROPOSAL_SUFFIX = ".json"
@@ -37,6 +37,16 @@ new_keys_option = click.option(
     is_flag=True,
     help="Also certify new keys of existing participants.",
 )
+only_option = click.option(
+    "--only",
+    type=click.Choice([each.label for each in SigningCa]),
+    help="Only what needs the keys of this CA: on each machine, if each CA has one of its own.",
+)
+
+
+def chosen_ca(only: str | None) -> SigningCa | None:
+    """The CA that --only names."""
+    return next((each for each in SigningCa if each.label == only), None)
 
 
 @_help.command(
@@ -57,6 +67,7 @@ new_keys_option = click.option(
 @click.option("--init", is_flag=True, help="Write a new, commented FILE to edit.")
 @prune_option
 @new_keys_option
+@only_option
 @click.option(
     "-o",
     "--output",
@@ -79,12 +90,13 @@ new_keys_option = click.option(
 @click.option("--force", is_flag=True, help="With -o: replace the file.")
 @_approver.passphrase_option
 @_settings.command_options
-def plan(  # noqa: PLR0913 -- one for each option, by name
+def plan(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     file: Path,
     output: Path | None,
     key: str | None,
     validity: timedelta,
     key_passphrase_file: Path | None,
+    only: str | None,
     *,
     init: bool,
     prune: bool,
@@ -104,7 +116,8 @@ def plan(  # noqa: PLR0913 -- one for each option, by name
         return
     desired = read_domain(file)
     keystore, now = Keystore.find(_settings.keystore_path()), _settings.now()
-    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys)
+    part = chosen_ca(only)
+    found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys, only=part)
     review = PlanReview(desired, keystore, found, now) if keystore else None
     if output and key is not None:
         if review is None:
@@ -172,9 +185,20 @@ def show(found: Plan, desired: Desired, *, written: Path | None = None) -> None:
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
         _printing.note(f"the governance does not name domain {where}: no participant can join it")
+    note_left(found)
     if found.unlisted:
         names = _printing.few(found.unlisted)
         _printing.note(f"not in {desired.path}: {names}; --prune revokes them")
+
+
+def note_left(found: Plan) -> None:
+    """Tell which changes are made on another machine."""
+    if found.left:
+        words = sorted({step.action.words for step in found.left})
+        _printing.note(
+            f"left for where the keys of the other CA are: {len(found.left)}"
+            f" ({', '.join(words)}); carry the keystore there"
+        )
 
 
 def lines(found: Plan) -> Iterator[str]:

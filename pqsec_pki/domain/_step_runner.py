@@ -1,6 +1,7 @@
 """Executes batches of steps of a plan; each is one atomic change of the keystore."""
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 from pqsec_pki.certificates import Reason
@@ -53,6 +54,7 @@ class StepRunner:
         self._authorities = authorities
         self._now = now
         self._wanted = {(step.action, step.name) for step in plan.steps}
+        self._whole = plan.only is None
         self._head = plan.head or keystore.head
         self._failures: list[PqsecError] = []
 
@@ -156,8 +158,16 @@ class StepRunner:
             return
         members, profile = self._desired.members, self._keystore.profile
         specs = [spec_of(members[step.name], profile, step.keys) for step in steps]
-        again = action is StepAction.REPLACE
-        issue(self._keystore, self._authorities, specs, now=self._now, force=again)
+        if not self._whole:  # who signs the permissions sees by the digest that they are missing
+            specs = [replace(spec, config_digest="") for spec in specs]
+        issue(
+            self._keystore,
+            self._authorities,
+            specs,
+            now=self._now,
+            force=action is StepAction.REPLACE,
+            sign_permissions=self._whole,
+        )
 
     def _enrol(self, steps: Sequence[Step]) -> None:
         """Perform an order; VerificationError if it is another one than when the plan was made."""
@@ -175,7 +185,8 @@ class StepRunner:
 
     def _renew(self, names: list[str]) -> None:
         validity = self._desired.members[names[0]].validity
-        terms = Renewal(validity=validity, due=self._desired.renew_before)
+        due = self._desired.renew_before
+        terms = Renewal(validity=validity, due=due, sign_permissions=self._whole)
         renew(self._keystore, self._authorities, names, terms, now=self._now)
 
 

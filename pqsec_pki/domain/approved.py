@@ -15,7 +15,15 @@ from pqsec_pki.domain.planning import plan as make_plan
 from pqsec_pki.domain.proposing import PlanReview
 from pqsec_pki.domain.steps import Plan, StepAction
 from pqsec_pki.errors import KeystoreError, VerificationError
-from pqsec_pki.keystore import PLAN, Keystore, Line, approval_entries, change, lines_since
+from pqsec_pki.keystore import (
+    PLAN,
+    Keystore,
+    Line,
+    SigningCa,
+    approval_entries,
+    change,
+    lines_since,
+)
 from pqsec_pki.problems import Code
 
 _LINES: Mapping[str, str] = {
@@ -129,7 +137,10 @@ def _reviewed(
     now: datetime,
 ) -> PlanReview:
     """What these steps would change now. VerificationError unless it is the same as planned."""
-    found = make_plan(desired, keystore, now=now, prune=proposal.prune, new_keys=proposal.new_keys)
+    only = next((ca for ca in SigningCa if ca.label == proposal.only), None)
+    found = make_plan(
+        desired, keystore, now=now, prune=proposal.prune, new_keys=proposal.new_keys, only=only
+    )
     wanted = {(step.action, step.name) for step in left}
     steps = tuple(step for step in found.steps if (step.action, step.name) in wanted)
     review = PlanReview(desired, keystore, replace(found, steps=steps), now)

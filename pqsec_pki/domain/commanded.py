@@ -84,6 +84,7 @@ def propose_command(
         needs=needs,
         prune=False,
         new_keys=False,
+        only="",
         steps=review.steps,
         rights=review.rights,
     )

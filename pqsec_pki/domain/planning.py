@@ -5,6 +5,7 @@ participants whose config digest differs, and no others.
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
@@ -18,6 +19,7 @@ from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import (
     Keystore,
     Overlap,
+    SigningCa,
     Status,
     governance_digest,
     signed_governance,
@@ -25,25 +27,45 @@ from pqsec_pki.keystore import (
 )
 
 _TWO_CAS = "is not in the file, and nobody can be revoked while two identity CAs are trusted"
+_NEEDED_CA = {
+    StepAction.SIGN_GOVERNANCE: SigningCa.PERMISSIONS,
+    StepAction.STORE_GROUPS: SigningCa.PERMISSIONS,
+    StepAction.ISSUE: SigningCa.IDENTITY,
+    StepAction.REPLACE: SigningCa.IDENTITY,
+    StepAction.SIGN_PERMISSIONS: SigningCa.PERMISSIONS,
+    StepAction.RENEW: SigningCa.IDENTITY,
+    StepAction.REVOKE: SigningCa.IDENTITY,
+    StepAction.RENEW_CRL: SigningCa.IDENTITY,
+    StepAction.STORE_APPROVALS: SigningCa.PERMISSIONS,
+}
+"""Other steps need both CAs: orders are performed whole, and CAs are made and replaced together."""
 _MOST_GROUPS = 5
 """In the reason of a step."""
 _PLACE = {action: place for place, action in enumerate(StepAction)}
 
 
-def plan(
+def plan(  # noqa: PLR0913 -- the choices are the user's, and by name
     desired: Desired,
     keystore: Keystore | None,
     *,
     now: datetime,
     prune: bool = False,
     new_keys: bool = False,
+    only: SigningCa | None = None,
 ) -> Plan:
     """The steps from the keystore, None if there is none yet, to the desired state.
 
     `prune` has the same effect as in the file. `new_keys` allows requests for other keys than
-    the participant had. KeystoreError if the keystore has another name, or another profile that
-    the file does not change.
+    the participant had. With `only`, the plan has the steps that need that CA's keys, and new
+    certificates come without permissions: a plan of the other part signs them, where the keystore
+    was carried. KeystoreError if the keystore has another name, or another profile that the file
+    does not change; and with `only` if there is none.
     """
+    if only:
+        if keystore is None:
+            hint = "`pqsec apply` without --only creates it, with the keys of both CAs"
+            raise KeystoreError("there is no keystore yet", hint=hint)
+        return _part(plan(desired, keystore, now=now, prune=prune, new_keys=new_keys), only)
     if keystore is None:
         return _from_nothing(desired)
     if is_wanted(desired, keystore):
@@ -60,6 +82,13 @@ def plan(
         members=desired.members,
     )
     return _Planner(desired, keystore, actual, reconciler, now, prune or desired.prune).plan()
+
+
+def _part(whole: Plan, only: SigningCa) -> Plan:
+    """The steps that need the keys of this CA alone."""
+    steps = tuple(step for step in whole.steps if _NEEDED_CA.get(step.action) is only)
+    left = tuple(step for step in whole.steps if step not in steps)
+    return replace(whole, steps=steps, left=left, only=only)
 
 
 def _from_nothing(desired: Desired) -> Plan:

@@ -86,6 +86,9 @@ class PlanReview:
         )
 
     def _issued(self) -> Iterator[tuple[str, Difference]]:
+        """The rights that come with certificates."""
+        if self.plan.only:
+            return
         for name in self._named(StepAction.ENROL, StepAction.ISSUE, StepAction.REPLACE):
             [grant] = self.desired.members[name].spec().grants
             yield name, permissions_diff(None, Permissions(grants=(grant,)))
@@ -186,6 +189,7 @@ def propose(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
         needs=policy.needs(review.kinds),
         prune=prune,
         new_keys=new_keys,
+        only=review.plan.only.label if review.plan.only else "",
         steps=review.steps,
         rights=review.rights,
     )

@@ -4,6 +4,7 @@ from dataclasses import field
 from enum import StrEnum
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki.keystore import SigningCa
 
 
 class StepAction(StrEnum):
@@ -85,6 +86,10 @@ class Plan:
     """How many participants are in the wanted state."""
     head: str | None = field(default=None, compare=False)
     """The ledger's head when the plan was made; None if there was no ledger."""
+    only: SigningCa | None = None
+    """The CA whose keys it needs, if it has the steps of one CA only: certificates, or rights."""
+    left: tuple[Step, ...] = ()
+    """Then the other steps: they are made where the keys of the other CA, or of both, are."""
 
     def to_json(self) -> dict[str, object]:
         """The plan for --json."""
@@ -94,6 +99,7 @@ class Plan:
             "blocked": self.blocked,
             "unlisted": self.unlisted,
             "unchanged": self.unchanged,
+            **({"only": self.only.label, "left": self.left} if self.only else {}),
         }
 
     @property

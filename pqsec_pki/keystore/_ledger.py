@@ -14,8 +14,9 @@ from pqsec_pki.keystore._store import MAX_TEXT, LedgerStore
 
 _DETAIL = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
 _PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row that has it
-    "WITH certified AS (SELECT max(number), name, sha256, at, ifnull(not_after, '') AS not_after,"  # noqa: S608 -- no outside text
-    " ifnull(serial, '') AS serial, ifnull(issuer, '') AS issuer,"
+    "WITH certified AS (SELECT max(number) AS number, name, sha256, at,"  # noqa: S608 -- no outside text
+    " ifnull(not_after, '') AS not_after, ifnull(serial, '') AS serial,"
+    " ifnull(issuer, '') AS issuer,"
     f" count({_DETAIL.format('request')}) AS requests,"
     f" CAST({_DETAIL.format('profile')} AS TEXT) AS profile,"
     f" CAST({_DETAIL.format('domains')} AS TEXT) AS domains,"
@@ -27,7 +28,8 @@ _PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row t
     f" nullif(CAST({_DETAIL.format('mark')} AS TEXT), '') AS mark"
     " FROM ledger WHERE kind = 'permissions'{chosen} GROUP BY name)"
     " SELECT certified.name, certified.sha256, serial, at, not_after, issuer, requests, profile,"
-    " ifnull(signed.domains, certified.domains), keys, ifnull(signed.mark, certified.mark),"
+    " ifnull(signed.domains, certified.domains), keys,"
+    " ifnull(CASE WHEN signed.number > certified.number THEN signed.mark END, certified.mark),"
     " ifnull(signed.sha256, ''), ifnull(signed.number, 0), EXISTS (SELECT 1 FROM ledger"
     " WHERE kind = 'revocation' AND sha256 = certified.sha256)"
     " FROM certified LEFT JOIN signed ON signed.name = certified.name ORDER BY certified.name"

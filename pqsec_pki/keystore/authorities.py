@@ -47,6 +47,11 @@ class SigningCa(StrEnum):
     """With its countersigner."""
 
     @property
+    def label(self) -> str:
+        """For options and files: identity or permissions."""
+        return self.name.lower()
+
+    @property
     def key_files(self) -> tuple[str, str]:
         """The names of the files of its keys; the second only if it has a second key."""
         if self is SigningCa.IDENTITY:

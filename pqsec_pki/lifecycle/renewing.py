@@ -45,6 +45,8 @@ class Renewal:
     """A revocation list that ends within this time is issued again; None as in `status`."""
     compromised_keys: bool = False
     """Whether keys that were revoked as compromised may be kept."""
+    sign_permissions: bool = True
+    """Whether to sign permissions for the new certificate; the others stay until their end."""
 
 
 def renew(
@@ -97,18 +99,20 @@ class Renewer:
         there = keystore.root / layout.enclave_folder(name)
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
-            allowed = self.inspector.permissions(name, there)
+            signs = self.terms.sign_permissions
+            allowed = self.inspector.permissions(name, there) if signs else None
             rekey = self._rekey(name, keystore.has_key(name))
             keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
         validity = self.terms.validity or _length(old)
         certificate = self.issuer.authorities.identity.issue(
             name, keys.key, alternative=keys.alternative, now=now, validity=validity
         )
-        permissions = Permissions(
-            grants=tuple(_moved(grant, old, certificate) for grant in allowed.grants)
-        )
+        permissions, config_digest = None, ""
+        if allowed:
+            grants = tuple(_moved(grant, old, certificate) for grant in allowed.grants)
+            permissions = Permissions(grants=grants)
+            config_digest = self.inspector.config_digest(name, there)
         asked = end_of(now, validity)
-        config_digest = self.inspector.config_digest(name, there)
         return self.issuer.stage(
             folder, name, certificate, permissions, asked=asked, config_digest=config_digest
         )

@@ -5,6 +5,7 @@ import shutil
 import pytest
 
 from pqsec_pki.keystore import Keystore, audit
+from tests.unit.approving import make_key
 
 MISSING = "the CA's private key is not here"
 IDENTITY, PERMISSIONS = "identity", "permissions"
@@ -151,3 +152,100 @@ def test_keys_of_a_robot_are_certified_without_rights(machines, pqsec):
 def test_ca_show_tells_which_keys_are_here(machines, pqsec):
     said = pqsec(f"-k {IDENTITY} ca show").done().out
     assert "those of the identity CA not encrypted, those of the permissions CA not here" in said
+
+
+DOMAIN = """
+validity: 90d
+roles:
+  robot: {publish: [rt$name/pose]}
+  monitor: {subscribe: ["rt/*"]}
+participants:
+  - {name: "/fleet/r{1..2}", role: robot}
+  - {name: /talker, role: robot}
+  - {name: /listener, role: monitor}
+"""
+
+
+@pytest.fixture
+def fleet(machines, monkeypatch):
+    """A domain file on both machines, whose participants are partly there."""
+    monkeypatch.chdir(machines)
+    (machines / "domain.yaml").write_text(DOMAIN)
+    return machines
+
+
+def apply(pqsec, machine, options="--yes"):
+    return pqsec(f"-k {machine} apply --only {machine} {options}")
+
+
+def test_a_domain_file_is_applied_on_two_machines_with_one_key_each(fleet, pqsec):
+    certified = apply(pqsec, IDENTITY).done()
+    assert "issue: 2 (/fleet/r1, /fleet/r2)" in certified.out
+    assert "left for where the keys of the other CA are" in certified.err
+    assert not (fleet / IDENTITY / "enclaves/fleet/r1/permissions.p7s").exists()
+    assert apply(pqsec, IDENTITY, "--check").code == 0
+    carried(fleet, IDENTITY, PERMISSIONS)
+    signed = apply(pqsec, PERMISSIONS).done()
+    assert "sign permissions for: 4" in signed.out
+    pqsec(f"-k {PERMISSIONS} apply --check").done()
+    carried(fleet, PERMISSIONS, IDENTITY)
+    assert pqsec(f"-k {IDENTITY} plan").done().out.startswith("no changes; 4 participants")
+    pqsec(f"-k {IDENTITY} verify-handshake /fleet/r1 /listener").done()
+    audit(Keystore.open(fleet / IDENTITY))
+
+
+def test_the_machine_of_the_permissions_ca_certifies_nobody(fleet, pqsec):
+    told = apply(pqsec, PERMISSIONS).done()
+    assert "issue" not in told.out
+    assert not (fleet / PERMISSIONS / "enclaves/fleet").exists()
+
+
+def test_without_a_part_both_keys_are_needed(fleet, pqsec):
+    pqsec(f"-k {IDENTITY} apply --yes").refused(3, MISSING, "permissions_ca.key.pem")
+    pqsec(f"-k {IDENTITY} apply --only permissions --yes").refused(3, MISSING)
+    pqsec(f"-k {PERMISSIONS} apply --only identity --yes").refused(3, MISSING)
+
+
+def test_what_one_machine_renews_gets_rights_for_as_long_on_the_other(fleet, pqsec, monkeypatch):
+    for machine in (IDENTITY, PERMISSIONS, IDENTITY):
+        apply(pqsec, machine)
+        other = PERMISSIONS if machine == IDENTITY else IDENTITY
+        carried(fleet, machine, other)
+    (fleet / "domain.yaml").write_text(DOMAIN.replace("90d", "200d") + "renew_before: 100d\n")
+    renewed = apply(pqsec, IDENTITY).done()
+    assert "renew: " in renewed.out
+    carried(fleet, IDENTITY, PERMISSIONS)
+    signed = apply(pqsec, PERMISSIONS).done()
+    assert "sign permissions for: " in signed.out
+    pqsec(f"-k {PERMISSIONS} apply --check").done()
+    assert pqsec(f"-k {PERMISSIONS} check").code == 0
+
+
+def test_one_machine_revokes_whom_the_file_no_longer_names(fleet, pqsec):
+    (fleet / "domain.yaml").write_text(DOMAIN.replace("  - {name: /talker, role: robot}\n", ""))
+    assert "revoke: 1 (/talker)" in apply(pqsec, IDENTITY, "--yes --prune").done().out
+
+
+def test_a_part_is_refused_where_it_means_nothing(fleet, pqsec):
+    apply(pqsec, IDENTITY, "--yes --bundles b").refused(2, "where the permissions are signed")
+    pqsec("-k new apply --only identity --yes").refused(3, "there is no keystore yet")
+    pqsec("-k new apply plan.json --only identity").refused(2, "a plan says all")
+
+
+def test_people_approve_each_part(fleet, pqsec):
+    """The approval of certificates is none of rights: each machine has a plan of its own."""
+    for name in ("alice", "bob"):
+        make_key(fleet, name)
+    rule = "approvals: {required: 2, of: {alice: alice.pub.pem, bob: bob.pub.pem}}\n"
+    (fleet / "domain.yaml").write_text(DOMAIN + rule)
+    apply(pqsec, PERMISSIONS).done()
+    carried(fleet, PERMISSIONS, IDENTITY)
+    for machine, words in ((IDENTITY, "issue: 2"), (PERMISSIONS, "sign permissions for: 2")):
+        apply(pqsec, machine).refused(3, "approvals are needed for rights that grow: 2 of alice")
+        plan = f"plan --only {machine} -o {machine}.json --key alice.pem"
+        pqsec(f"-k {machine} {plan}").done()
+        shown = pqsec(f"approve {machine}.json --key bob.pem --yes").done()
+        assert shown.out
+        assert words in pqsec(f"-k {machine} apply {machine}.json --yes").done().out
+        pqsec(f"-k {machine} apply {machine}.json --yes").refused(1, "applied already")
+        carried(fleet, IDENTITY, PERMISSIONS)
