@@ -127,13 +127,19 @@ class Exchange:
         self._log(answer)
         if self.request._disconnected:  # noqa: SLF001 -- Twisted has no other way to ask
             return
-        body = _body(answer)
+        body = b"" if self._only_asks_for_password(answer) else _body(answer)
         self.request.setResponseCode(answer.status)
         for name, value in self._headers(answer, body):
             self.request.responseHeaders.setRawHeaders(name, [value])
         if answer.status in {204, 304} or self.request.method == b"HEAD":
             body = b""
         send(self.request, body)
+
+    def _only_asks_for_password(self, answer: SignerAnswer) -> bool:
+        """Then EST's answer has no body, which Bouncy Castle would not read, and then complain."""
+        asks = answer.status == HTTPStatus.UNAUTHORIZED
+        told = self.request.requestHeaders.hasHeader("Authorization")
+        return asks and not told and self.request.path.startswith(f"{EST}/".encode())
 
     def _has(self, etag: str) -> bool:
         given = self.request.requestHeaders.getRawHeaders("If-None-Match", [])
@@ -147,7 +153,8 @@ class Exchange:
         ]
         if answer.status not in {204, 304}:
             found.append(("Content-Length", str(len(body))))
-            found.append(("Content-Type", _media_type_of(answer)))
+            if body:
+                found.append(("Content-Type", _media_type_of(answer)))
         if answer.status == HTTPStatus.OK and self.request.path.startswith(f"{EST}/".encode()):
             found.append(("Content-Transfer-Encoding", "base64"))  # for clients older than RFC 8951
         if answer.status == HTTPStatus.UNAUTHORIZED:

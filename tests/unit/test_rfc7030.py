@@ -105,6 +105,10 @@ def test_a_password_is_asked_for_in_the_form_of_http(server):
         Authorization="Basic " + base64.b64encode(f"{token.id}:x".encode()).decode(),
     )
     assert (reply.status, reply.headers["www-authenticate"]) == (401, 'Basic realm="pqsec"')
+    assert "not known" in reply.detail
+    first = posted(server, "simplereenroll", request_with())
+    assert (first.status, first.headers["www-authenticate"]) == (401, 'Basic realm="pqsec"')
+    assert (first.headers["content-length"], first.body) == ("0", b"")
 
 
 @pytest.mark.parametrize(
