@@ -69,7 +69,7 @@ _NO_TIME = timedelta()
     "--rekey/--keep-key",
     default=None,
     help="Generate new keys, or certify the same keys again.  [default: new keys, if the old"
-    " ones are in the keystore]",
+    " ones are in the keystore, and rights that grow need no approvals]",
 )
 @_bundles.compromised_option
 @click.option(

@@ -115,7 +115,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _printing.note(
             f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
         )
-    faults = faults_of_ledger(keystore)
+    faults, policy = faults_of_ledger(keystore), keystore.approvals
     if prometheus:
         write_metrics(prometheus, keystore, standing, robots, is_whole=not faults)
     _formats.emit(
@@ -125,13 +125,17 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             **standing.to_json(),
             "participants": rows,
             "ledger": {"head": standing.head, "faults": faults},
+            "approvals": policy.to_json() if policy else None,
         },
         _lines(
             keystore,
             standing,
             robots,
             "none" if is_filtered else "none yet: pqsec issue NAME",
-            faults,
+            [
+                *([f"approvals        {policy}"] if policy else []),
+                *(f"ledger           NOT AS SIGNED: {fault}" for fault in faults),
+            ],
         ),
         columns=(*_COLUMNS, *_ROBOT_COLUMNS),
         items=rows,
@@ -143,7 +147,7 @@ def _lines(
     standing: Status,
     robots: Mapping[str, RobotState],
     nobody: str,
-    faults: Sequence[str],
+    more: Sequence[str],
 ) -> Iterator[str]:
     yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
     for term in standing.shared:
@@ -151,8 +155,7 @@ def _lines(
         yield f"{_ROLES[term.kind]:<15}  until {term.not_after:%Y-%m-%d}{state}"
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
     yield f"participants     {', '.join(counts) or nobody}"
-    for fault in faults:
-        yield f"ledger           NOT AS SIGNED: {fault}"
+    yield from more
     if standing.participants:
         has_receipts = any(each.receipt for each in robots.values())
         yield ""

@@ -37,8 +37,8 @@ class Renewal:
     """How to renew."""
 
     rekey: bool | None = None
-    """Whether to make new keys, or keep the public keys of the certificate; None makes new
-    keys if the private key is here."""
+    """Whether to make new keys, or keep the public keys of the certificate; None makes new keys if
+    the private key is here, and people need not approve rights that grow."""
     validity: timedelta | None = None
     """From now on; None for the validity of the old certificate."""
     due: timedelta | None = None
@@ -59,15 +59,18 @@ def renew(
 ) -> list[Issued]:
     """Issue a new certificate and new permissions to all participants in `names`, or to none.
 
-    A revocation list that is due is issued again too. KeystoreError for a participant that does
+    A revocation list that is due is issued again too. New keys that were asked for, and a longer
+    validity, are rights that grow. KeystoreError for a participant that does
     not exist, was revoked, or has files that are not its newest; VerificationError for
     permissions that the CA did not sign.
     """
     regular = list(dict.fromkeys(map(layout.enclave_name, names)))
     issuer = Issuer(keystore, authorities, now)
+    if terms.rekey is None and _shows_new_keys(keystore):
+        terms = replace(terms, rekey=False)
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         longer = terms.validity and lasts_longer(keystore, regular, terms.validity)
-        keystore.refuse_unapproved(Covered.GROW if longer else Covered.OTHER)
+        keystore.refuse_unapproved(Covered.GROW if longer or terms.rekey else Covered.OTHER)
         inspector = Inspector.of(keystore, ledger, regular, now=now)
         inspector.refuse_revoked(regular)
         inspector.refuse_previous_ca(regular)
@@ -83,6 +86,12 @@ def renew(
             publisher = Publisher(keystore, authorities.identity, ledger, now)
             publisher.publish(transaction, [], LIST_VALIDITY)
     return renewed
+
+
+def _shows_new_keys(keystore: Keystore) -> bool:
+    """Whether people approve rights that grow: then a new key is one that they were shown."""
+    policy = keystore.approvals
+    return policy is not None and Covered.GROW in policy.covers
 
 
 @dataclass(frozen=True, slots=True)

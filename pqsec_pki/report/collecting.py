@@ -239,4 +239,5 @@ def _evidence(keystore: Keystore, lines: list[Line]) -> Evidence:
         lines=len(lines),
         audit=problems,
         governance=hashlib.sha256(keystore.governance).hexdigest(),
+        approvals=str(keystore.approvals or ""),
     )

@@ -102,6 +102,7 @@ def _keys(report: Report) -> Iterator[_Row]:
     if report.evidence:
         lines = f"{report.evidence.lines} lines"
         yield "evidence", "ledger", lines, report.evidence.head, "", "", ""
+        yield "evidence", "approvals", report.evidence.approvals or "none", "", "", "", ""
         for problem in report.evidence.audit:
             yield "evidence", "ledger", "not intact", problem, "", "", ""
 

@@ -227,6 +227,8 @@ class Evidence:
     """What is wrong with the ledger; empty if it is complete."""
     governance: str
     """SHA-256 of the signed governance, in hex."""
+    approvals: str
+    """How many of whom must approve which changes; empty if changes need no approvals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

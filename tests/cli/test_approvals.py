@@ -221,3 +221,21 @@ def test_a_plan_that_was_edited_is_refused_by_name(run):
     path.write_text(path.read_text().replace("rt/order", "rt/oxder"))
     run("approve plan.json --key carol.pem --yes").refused(1, "plan.json: the plan was changed")
     run("apply plan.json --yes").refused(1, "plan.json: the plan was changed after signing")
+
+
+def test_status_and_report_show_whose_approvals_changes_need(run):
+    rule = "2 of alice, bob, carol for grow, revoke, rotate"
+    assert f"approvals        {rule}\n" in run("status").done().out
+    assert run("status --json").json["approvals"]["required"] == 2
+    run("report -o r.html").done()
+    assert rule in (run.folder / "r.html").read_text()
+    assert run("report --json").json["evidence"]["approvals"] == rule
+
+
+def test_renew_makes_new_keys_if_people_approved_them(run):
+    run("renew /r1 --rekey").refused(3, "approvals are needed for rights that grow")
+    run("propose -o plan.json --key alice.pem renew /r1 --rekey").done()
+    approve(run)
+    before = (run.folder / "k/enclaves/r1/key.pem").read_bytes()
+    run("apply plan.json --yes").done()
+    assert (run.folder / "k/enclaves/r1/key.pem").read_bytes() != before

@@ -5,6 +5,7 @@ import re
 import subprocess
 from dataclasses import replace
 from datetime import timedelta
+from functools import partial
 
 import pytest
 
@@ -223,6 +224,7 @@ def test_no_operation_goes_around_the_policy(council):
         "revocation": lambda: revoke(keystore, cas, ["/r1"], now=NOW),
         "rights that grow": lambda: issue(keystore, cas, [spec], now=NOW),
         "rights that grow ": lambda: sign_permissions(keystore, cas, [wider], now=NOW),
+        "rights that grow   ": lambda: renew(keystore, cas, ["/r1"], Renewal(rekey=True), now=NOW),
         "rights that grow  ": lambda: sign_governance(keystore, cas, weaker, now=NOW),
         "the replacement of CAs": lambda: apply_rollover(keystore, rollover, now=NOW),
         "a change of `approvals`": lambda: store_approvals(keystore, cas, None, now=NOW),
@@ -233,6 +235,10 @@ def test_no_operation_goes_around_the_policy(council):
             way()
     assert council.kinds() == before
     sign_permissions(keystore, cas, [more], now=NOW)  # the same rights
+    renewed = partial(renew, keystore, cas, ["/r1"], now=NOW + DAY)
+    key = council.file_of("/r1", "key.pem").read_bytes()
+    renewed()  # a timer may, for the same key
+    assert council.file_of("/r1", "key.pem").read_bytes() == key
     sign_governance(keystore, cas, governance, now=NOW)
 
 
