@@ -12,7 +12,7 @@ from ipaddress import ip_address
 from typing import Self
 
 from cryptography import x509
-from cryptography.x509.oid import NameOID
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
@@ -79,7 +79,9 @@ class Authority:
         now: datetime,
         validity: timedelta,
     ) -> Self:
-        """The same with keys that are there already; with `host`, for a TLS server of that name.
+        """The same with keys that are there already.
+
+        With `host` it is the certificate of a TLS server of that name, which is not a CA.
 
         UsageError for a host that is neither a DNS name nor an address.
         """
@@ -89,7 +91,10 @@ class Authority:
             issuer=subject,
             key=key.public_key,
             window=(now - BACKDATE, end_of(now, validity)),
-            extensions=[*_authority_extensions(key.public_key), *_host_extensions(host)],
+            extensions=[
+                *(_host_extensions(host) if host else (_CA, _CA_USAGE)),
+                _extension(x509.SubjectKeyIdentifier(key_identifier(key.public_key))),
+            ],
         )
         if alternative:
             _alternative.add_key(tbs, alternative.public_key)
@@ -210,14 +215,8 @@ def _sign(tbs: TBSCertificate, key: PrivateKey, alternative_key: PrivateKey | No
     return Certificate.from_der(der)
 
 
-def _authority_extensions(key: PublicKey) -> list[Extension]:
-    return [_CA, _CA_USAGE, _extension(x509.SubjectKeyIdentifier(key_identifier(key)))]
-
-
 def _host_extensions(host: str) -> list[Extension]:
-    """The name by which TLS clients know a server (RFC 9525)."""
-    if not host:
-        return []
+    """Those of a TLS server, which clients know by its name (RFC 9525)."""
     name: x509.GeneralName
     try:
         name = x509.IPAddress(ip_address(host))
@@ -226,7 +225,9 @@ def _host_extensions(host: str) -> list[Extension]:
             name = x509.DNSName(host)
         except ValueError:
             raise UsageError(f"{host!r} is not a host's name or address") from None
-    return [_extension(x509.SubjectAlternativeName([name]))]
+    server = x509.ExtendedKeyUsage([ExtendedKeyUsageOID.SERVER_AUTH])
+    names = x509.SubjectAlternativeName([name])
+    return [_NOT_CA, _PARTICIPANT_USAGE, _extension(server), _extension(names)]
 
 
 def _participant_extensions(key: PublicKey, issuer: Certificate) -> list[Extension]:

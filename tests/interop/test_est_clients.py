@@ -15,9 +15,9 @@ import pytest
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.est import EST
+from pqsec_pki.server import begin_server
 from tests.longer import LONG
 from tests.unit.serving import HOST, Server
-from tests.unit.tls_sides import certificate
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
 
@@ -60,15 +60,15 @@ def clients(request, requires):
 
 
 def served(folder, profile):
-    """A server whose TLS certificates were issued by a CA, as in a company."""
+    """A server with the TLS certificates that `pqsec serve --init` makes."""
     now = datetime.now(UTC)
     made = Server(folder, now, profile, renew="any-time", classical=profile == "classical")
-    for number, kind in enumerate(("ml-dsa-65", "ecdsa-p256")):
-        chain, key = certificate(kind, issuer="company", since=now)
-        (folder / f"{number}.pem").write_bytes(chain)
-        (folder / f"{number}.key").write_bytes(key)
-        ca, _ = certificate(kind, owner="company", since=now, ca=True)
-        (folder / f"ca-{number}.pem").write_bytes(ca)
+    first = folder / "first/serve.yaml"
+    first.parent.mkdir()
+    begin_server(f"https://{HOST}:{made.port}", first, made.root, now=now)
+    for number, kind in enumerate(("tls-pq", "tls-classical")):
+        for end in ("pem", "key"):
+            shutil.copy(first.parent / f"{kind}.{end}", folder / f"{number}.{end}")
     return made
 
 
@@ -87,8 +87,8 @@ def post_quantum(tmp_path_factory):
 
 
 def test_strongswan_enrols_and_renews(clients, classical):
-    shutil.copy(classical.folder / "ca-1.pem", clients.folder)
-    server = ("--url", f"https://{HOST}:{classical.port}", "--cacert", "ca-1.pem")
+    shutil.copy(classical.folder / "1.pem", clients.folder)
+    server = ("--url", f"https://{HOST}:{classical.port}", "--cacert", "1.pem")
     clients.run("pki", "--estca", *server, "--caout", "root.pem", "--outform", "pem")
     found = next(clients.folder.glob("root*.pem")).read_bytes()
     assert Certificate.from_pem(found).der == classical.keystore.identity_ca.der
@@ -114,7 +114,7 @@ def test_bouncy_castle_enrols_and_renews_with_a_link_to_its_connection(
     jars = ":".join(str(clients.root / "usr/share/java" / f"{each}.jar") for each in JARS)
     token = classical.token("/fleet/r2", replaces=True)
     at = f"{HOST}:{classical.port}"
-    given = (at, classical.folder / "ca-1.pem", token.id, token.secret, "/fleet/r2")
+    given = (at, classical.folder / "1.pem", token.id, token.secret, "/fleet/r2")
     source = Path(__file__).with_name("EstClient.java")
     said = ran([java, "-XX:TieredStopAtLevel=1", "-cp", jars, source, *given]).decode()
     lines = [line.split(" ", 1) for line in said.splitlines()]
@@ -130,9 +130,9 @@ def test_bouncy_castle_enrols_and_renews_with_a_link_to_its_connection(
 
 def test_curl_and_openssl_enrol_and_renew_with_ml_dsa(clients, post_quantum):
     """Post-quantum throughout: X25519MLKEM768, ML-DSA-65 on both sides."""
-    shutil.copy(post_quantum.folder / "ca-0.pem", clients.folder)
+    shutil.copy(post_quantum.folder / "0.pem", clients.folder)
     url = f"https://{HOST}:{post_quantum.port}{EST}"
-    known = ("curl", "-sS", "--fail", "-v", "--stderr", "log", "--cacert", "ca-0.pem")
+    known = ("curl", "-sS", "--fail", "-v", "--stderr", "log", "--cacert", "0.pem")
 
     def curl(path, *more, data=b""):
         return base64.b64decode(clients.run(*known, *more, url + path, data=data))
@@ -149,10 +149,10 @@ def test_curl_and_openssl_enrol_and_renew_with_ml_dsa(clients, post_quantum):
     (clients.folder / "cas.pem").write_bytes(certificates(curl("/cacerts")))
     token = post_quantum.token("/fleet/r1", replaces=True)
     user = ("--user", f"{token.id}:{token.secret}")
-    own = ("--cert", "1.pem", "--key", "1.key")
+    own = ("--cert", "1.crt", "--key", "1.key")
     for number, path, shown in ((1, "/simpleenroll", user), (2, "/fleet/simplereenroll", own)):
         der = curl(path, *shown, *PKCS10, data=asked(f"{number}.key"))
-        (clients.folder / f"{number}.pem").write_bytes(certificates(der))
-        clients.run("openssl", "verify", "-CAfile", "cas.pem", f"{number}.pem")
+        (clients.folder / f"{number}.crt").write_bytes(certificates(der))
+        clients.run("openssl", "verify", "-CAfile", "cas.pem", f"{number}.crt")
         log = (clients.folder / "log").read_text()
         assert "X25519MLKEM768" in log

@@ -10,18 +10,28 @@ from cryptography import x509
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.hashes import SHA256
 from cryptography.hazmat.primitives.serialization import Encoding, pkcs7
-from cryptography.x509.oid import AttributeOID, NameOID
+from cryptography.x509.oid import AttributeOID, ExtendedKeyUsageOID, NameOID
 from OpenSSL import SSL
 
 from pqsec_pki._asn1 import ContentInfo, decode
 from pqsec_pki.algorithms import SIGNATURES, load_private_key
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.est import EST, ServerTrust, client_context, request_attributes
+from pqsec_pki.errors import VerificationError
+from pqsec_pki.est import (
+    EST,
+    ServerTrust,
+    TlsIdentity,
+    client_context,
+    request_attributes,
+    server_context,
+)
+from pqsec_pki.server import begin_server
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.desk import Desk
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.test_overlap import begin
+from tests.unit.tls_sides import connected
 
 PKCS7 = "application/pkcs7-mime; smime-type=certs-only"
 PKCS10 = "application/pkcs10"
@@ -138,6 +148,24 @@ def linked(server, context):
         link.set_connect_state()
         link.do_handshake()
         yield link
+
+
+@pytest.mark.parametrize("kind", ["tls-pq", "tls-classical"])
+@pytest.mark.parametrize("host", ["est.example", "192.0.2.7"])
+def test_the_first_certificates_are_of_a_server_and_not_of_a_ca(tmp_path, kind, host):
+    now = datetime.now(UTC)
+    begin_server(f"https://{host}:8443", tmp_path / "serve.yaml", tmp_path / "k", now=now)
+    chain, key = ((tmp_path / f"{kind}.{end}").read_bytes() for end in ("pem", "key"))
+    found = Certificate.from_pem(chain)
+    assert not found.extension(x509.BasicConstraints).ca
+    usage = found.extension(x509.KeyUsage)
+    assert (usage.digital_signature, usage.key_cert_sign, usage.crl_sign) == (True, False, False)
+    assert list(found.extension(x509.ExtendedKeyUsage)) == [ExtendedKeyUsageOID.SERVER_AUTH]
+    client = client_context(ServerTrust(authorities=chain), host)
+    connected(server_context([TlsIdentity.of(chain, key)]), client)
+    other = client_context(ServerTrust(authorities=chain), "other.example")
+    with pytest.raises(VerificationError, match="is not for other"):
+        connected(server_context([TlsIdentity.of(chain, key)]), other)
 
 
 # 3.4 and 3.5: proof of possession, and its link to the connection
