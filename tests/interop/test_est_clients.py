@@ -23,6 +23,7 @@ pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
 
 SUITES = ["trixie", *(["sid"] if LONG else [])]
 JARS = ("bcprov", "bcutil", "bcpkix", "bctls")
+EC = ("-algorithm", "EC", "-pkeyopt", "ec_paramgen_curve:P-256")
 PKCS10 = ("-H", "Content-Type: application/pkcs10", "--data-binary", "@-")
 
 
@@ -102,6 +103,28 @@ def test_strongswan_enrols_and_renews(clients, classical):
         got = clients.run("pki", "--est", *server, "--in", f"{key}.req", *shown, "--outform", "pem")
         (clients.folder / f"{key}.crt").write_bytes(got)
         assert Certificate.from_pem(got).subject_name == "CN=/fleet/r1"
+
+
+def test_libest_enrols_and_renews(clients, classical):
+    shutil.copy(classical.folder / "1.pem", clients.folder)
+    at = ("-s", HOST, "-p", str(classical.port), "-o", ".")
+
+    def estclient(*words):
+        clients.run("env", "EST_OPENSSL_CACERT=1.pem", "estclient", *at, *words)
+        return clients.folder / "cert-0-0.pem"
+
+    clients.run("openssl", "genpkey", *EC, "-out", "own.key")
+    estclient("-g")
+    found = base64.b64decode((clients.folder / "cacert-0-0.pkcs7").read_bytes())
+    assert classical.keystore.identity_ca.der in found
+    token = classical.token("/fleet/r3", replaces=True)
+    user = ("-u", token.id, "-h", token.secret, "--common-name", "/fleet/r3")
+    enrolled = estclient("-e", *user, "-x", "own.key", "-z", "--pem-output")
+    first = enrolled.rename(clients.folder / "own.crt")
+    renewed = estclient("-r", "-c", "own.crt", "-k", "own.key", "--pem-output")
+    names = [Certificate.from_pem(each.read_bytes()).subject_name for each in (first, renewed)]
+    assert names == ["CN=/fleet/r3"] * 2
+    assert first.read_bytes() != renewed.read_bytes()
 
 
 def test_bouncy_castle_enrols_and_renews_with_a_link_to_its_connection(
