@@ -8,7 +8,7 @@ import os
 import re
 import shutil
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import datetime, timedelta
@@ -23,6 +23,7 @@ from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import Installation, MissingStackError, find
 from tests.interop.cyclone import find_plugins
+from tests.interop.est_clients import SUITES, Clients, clients_in, root_of
 from tests.interop.fastdds_meeting import Both, meeting
 from tests.interop.fastdds_shim import FastDdsShim, build, find_compiler
 from tests.interop.nodes import Nodes, compiled
@@ -251,3 +252,12 @@ def openssl35(requires) -> OpenSSL:
 def any_openssl(request, openssl, openssl35) -> OpenSSL:
     """The one or the other: parametrise it, indirectly, with "system" and "3.5"."""
     return {"system": openssl, "3.5": openssl35}[request.param]
+
+
+@pytest.fixture(params=SUITES)
+def est_clients(request, requires) -> Iterator[Clients]:
+    """EST clients of others, and a server."""
+    suite = request.param
+    remedy = f"run .ci/est-clients {suite}"
+    with clients_in(requires(root_of(suite), f"EST clients of Debian {suite}", remedy)) as found:
+        yield found
