@@ -12,7 +12,7 @@ import socket
 import struct
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import field
 from pathlib import Path
 from threading import Event, Thread
@@ -103,8 +103,9 @@ class Wire:
                 continue
             self.packets += 1
             self.readable += self.text in packet
-        statistics = wire.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
-        self.lost = struct.unpack("II", statistics)[1]
+        with suppress(OSError):  # qemu-user does not pass it on
+            statistics = wire.getsockopt(_SOL_PACKET, _PACKET_STATISTICS, 8)
+            self.lost = struct.unpack("II", statistics)[1]
 
     def stop(self) -> None:
         self._over.set()
@@ -119,7 +120,10 @@ def watched(text: bytes) -> Iterator[Wire | None]:
         yield None
         return
     with seen:
-        seen.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER)
+        try:
+            seen.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER)
+        except PermissionError:  # root of a user name space: as much as the system allows
+            seen.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER)
         seen.bind((_LOOPBACK.decode(), 0))
         seen.settimeout(_PAUSE)
         wire = Wire(text)

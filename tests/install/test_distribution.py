@@ -103,3 +103,29 @@ def test_wheels_on_a_stick_install_without_a_network(built, tmp_path):
     )  # fmt: skip
     assert "ok    authenticated" in done.stdout
     assert (tmp_path / "venv/share/man/man1/pqsec.1").is_file()
+
+
+@pytest.mark.parametrize("tool", ["pipx", "uv"])
+def test_each_tool_installs_it_apart_and_removes_it(requires, built, tmp_path, tool):
+    """As docs/how-to/install.md says; and `pqsec uninstall --list` knows which tool it was."""
+    found = Path(sys.executable).with_name(tool)
+    program = requires(found if found.exists() else None, tool, f"pip install {tool}")
+    words = {"pipx": [program], "uv": [program, "tool"]}[tool]
+    bin_ = tmp_path / "bin"
+    environment = os.environ | {"HOME": str(tmp_path), "PIPX_HOME": str(tmp_path / "pipx")}
+    environment |= {"PIPX_BIN_DIR": str(bin_), "UV_TOOL_BIN_DIR": str(bin_)}
+    environment |= {"UV_TOOL_DIR": str(tmp_path / "uv"), "UV_CACHE_DIR": str(tmp_path / "cache")}
+    environment |= {"UV_PYTHON_DOWNLOADS": "never", "UV_PYTHON": sys.executable}
+
+    def run(*line):
+        done = subprocess.run(
+            line, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
+        )
+        return done.stdout
+
+    run(*words, "install", built[1])
+    assert "ok    authenticated" in run(bin_ / "pqsec", "demo", "robots")
+    listed = run(bin_ / "pqsec", "uninstall", "--list")
+    assert f"{' '.join([tool, *words[1:]])} uninstall pqsec" in listed
+    run(*words, "uninstall", "pqsec")
+    assert not (bin_ / "pqsec").exists()

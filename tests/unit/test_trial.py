@@ -2,6 +2,7 @@
 
 import os
 import shutil
+import subprocess
 import sys
 import time
 from dataclasses import replace
@@ -711,3 +712,20 @@ def test_who_may_not_talk_to_each_other_are_told_so(way):
 def test_a_domain_that_is_not_theirs_has_no_topic(way):
     with pytest.raises(UsageError, match="domain 7"):
         way({"/a": (("x",), ()), "/b": ((), ("x",))}, domain=7)
+
+
+def test_roots_of_user_name_spaces_capture_too(requires):
+    """As in a container without privileges: they may not force the size of the buffer."""
+    command = ["unshare", "--user", "--map-root-user"]
+    allowed = subprocess.run([*command, "true"], capture_output=True, check=False, timeout=60)
+    requires(not allowed.returncode or None, "a user name space", "allow them to this user")
+    code = (
+        "from pqsec_pki.trial.network import new_network, watched\n"
+        "assert new_network()\n"
+        "with watched(b'x') as wire: print(wire.lost)\n"
+    )
+    done = subprocess.run(
+        [*command, sys.executable, "-c", code],
+        capture_output=True, text=True, check=False, timeout=60,
+    )  # fmt: skip
+    assert (done.stdout, done.stderr) == ("0\n", "")
