@@ -163,7 +163,8 @@ class TrustState:
         try:
             value: dict[str, Any] = json.loads(data)
             if value["format"] != FORMAT:
-                raise other_format(KeystoreError, value["format"], (FORMAT,))
+                other = other_format(KeystoreError, value["format"], (FORMAT,))
+                raise KeystoreError(other.words)  # the way out is that of a damaged one
             marks = value["marks"]
             return cls(
                 pins={
