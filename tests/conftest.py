@@ -17,6 +17,8 @@ import hypothesis
 import pytest
 from coverage import Coverage
 
+from pqsec_pki.algorithms import _pbes2
+from pqsec_pki.inspection._key import FEW_ITERATIONS
 from tests.libraries import Libraries, libraries
 from tests.longer import ALL_CASES, LONG, gate_part
 
@@ -28,6 +30,10 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 # No test asserts wall-clock time: by default hypothesis fails an example that takes 200 ms.
 hypothesis.settings.register_profile("pqsec", deadline=None, max_examples=100 if LONG else 25)
 hypothesis.settings.load_profile("pqsec")
+
+ITERATIONS = _pbes2.ITERATIONS
+if not LONG:  # else a key under a passphrase takes a quarter of a second at each use
+    _pbes2.ITERATIONS = FEW_ITERATIONS
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 ELSEWHERE = ("in .ci/long: ", "PQSEC_OPENDDS_ROOT")
@@ -90,6 +96,12 @@ def requires() -> Callable[[Found | None, str, str], Found]:
         return found
 
     return check
+
+
+@pytest.fixture
+def all_iterations(monkeypatch) -> None:
+    """Keys are encrypted as for users."""
+    monkeypatch.setattr(_pbes2, "ITERATIONS", ITERATIONS)
 
 
 @pytest.fixture(scope="session")

@@ -1,4 +1,4 @@
-"""`pqsec` for documents, which run hundreds of commands: a process that has imported it forks.
+"""`pqsec` for tests that run hundreds of commands: a process that has imported it forks.
 
 Python and its imports are most of a short command. The server imports all commands once and
 forks a child for each; the client hands it the command line, the folder, the variables, the
@@ -12,9 +12,10 @@ import signal
 import socket
 import subprocess
 import sys
+import tempfile
 import traceback
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from pathlib import Path
@@ -33,14 +34,16 @@ sys.exit(int(code) if code else "pqsec ended without an exit code")
 """
 MAX_COMMAND = 1 << 20
 """Octets of a command line with its variables."""
+PATIENCE = 300
+"""Seconds for one command."""
 
 
-def serve(path: str) -> None:
+def serve(path: str, *modules: str) -> None:
     """Fork a child for each command that comes to the socket, until killed."""
     from pqsec_pki.cli import COMMANDS, main  # noqa: PLC0415 -- the client needs none of this
 
-    for module, _ in COMMANDS.values():
-        import_module(f"pqsec_pki.cli.{module}")
+    for module in (*(f"pqsec_pki.cli.{name}" for name, _ in COMMANDS.values()), *modules):
+        import_module(module)
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # children need nobody who waits for them
     with socket.socket(socket.AF_UNIX) as listener:
         listener.bind(path)
@@ -90,7 +93,48 @@ def forking_pqsec(program: Path) -> Iterator[None]:
     path = str(program.with_suffix(".socket"))
     program.write_text(CLIENT.format(python=sys.executable, path=path))
     program.chmod(0o755)
-    command = [sys.executable, "-m", "tests.docs.forking", path]
+    with _server(path):
+        yield
+
+
+class Forks:
+    """Runs pqsec as forks of one server, as `subprocess.run` does with processes of their own."""
+
+    def __init__(self, path: str) -> None:
+        self._path = path
+
+    @classmethod
+    @contextmanager
+    def started(cls, *modules: str) -> Iterator["Forks"]:
+        """With a server that has imported these modules too."""
+        with tempfile.TemporaryDirectory() as folder, _server(f"{folder}/socket", *modules):
+            yield cls(f"{folder}/socket")
+
+    def run(
+        self, words: Sequence[str], *, cwd: Path, env: Mapping[str, str]
+    ) -> subprocess.CompletedProcess[str]:
+        umask = os.umask(0)
+        os.umask(umask)
+        request = json.dumps([list(words), str(cwd), dict(env), umask]).encode() + b"\n"
+        with (
+            socket.socket(socket.AF_UNIX) as server,
+            Path(os.devnull).open() as nothing,
+            tempfile.TemporaryFile("w+") as out,
+            tempfile.TemporaryFile("w+") as err,
+        ):
+            server.settimeout(PATIENCE)
+            server.connect(self._path)
+            streams = [each.fileno() for each in (nothing, out, err)]
+            socket.send_fds(server, [request], streams)
+            code = server.recv(4)
+            assert code, "pqsec ended without an exit code"
+            said = [each.seek(0) or each.read() for each in (out, err)]
+        return subprocess.CompletedProcess(list(words), int(code), *said)
+
+
+@contextmanager
+def _server(path: str, *modules: str) -> Iterator[None]:
+    command = [sys.executable, "-m", "tests.docs.forking", path, *modules]
     with subprocess.Popen(
         command, cwd=Path(__file__).parents[2], stdin=subprocess.DEVNULL, stdout=subprocess.PIPE
     ) as server:
@@ -104,4 +148,4 @@ def forking_pqsec(program: Path) -> Iterator[None]:
 
 if __name__ == "__main__":
     warnings.resetwarnings()
-    serve(sys.argv[1])
+    serve(*sys.argv[1:])

@@ -22,6 +22,7 @@ from pqsec_pki.documents import DomainRange, DomainSet, Grant, Permissions
 from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import Installation, MissingStackError, find
+from tests.docs.forking import Forks
 from tests.interop.cyclone import find_plugins
 from tests.interop.est_clients import SUITES, Clients, clients_in, root_of
 from tests.interop.fastdds_meeting import Both, meeting
@@ -229,12 +230,19 @@ def openssl(requires) -> OpenSSL:
     return requires(OpenSSL.at(path), "openssl", "what is installed is something else")
 
 
+@pytest.fixture(scope="session")
+def forks() -> Iterator[Forks]:
+    """Runs pqsec in forks of one process. Each is new to a token's library."""
+    with Forks.started("pkcs11") as found:
+        yield found
+
+
 @pytest.fixture
-def token(requires, tmp_path) -> Token:
+def token(requires, tmp_path, forks) -> Token:
     """A new token of SoftHSM."""
     requires(SOFTHSM if SOFTHSM.exists() else None, "SoftHSM", "apt-get install softhsm2")
     requires(SPY, "OpenSC", "apt-get install opensc opensc-pkcs11")
-    return Token.softhsm(tmp_path)
+    return Token.softhsm(tmp_path, forks)
 
 
 @pytest.fixture(scope="session")

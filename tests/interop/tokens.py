@@ -7,6 +7,8 @@ import sys
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from tests.docs.forking import Forks
+
 SOFTHSM = Path("/usr/lib/softhsm/libsofthsm2.so")
 SPY = next(Path("/usr/lib").glob("*-linux-gnu/pkcs11-spy.so"), None)
 """Notes each call to a token's library; part of OpenSC."""
@@ -24,15 +26,17 @@ class Token:
     begin: tuple[str, ...] = ()
     """What a program's command line begins with."""
     python: str = field(default=sys.executable)
+    forks: Forks | None = None
+    """Runs pqsec, where Python needs no other libraries for the token."""
 
     @classmethod
-    def softhsm(cls, folder: Path) -> "Token":
+    def softhsm(cls, folder: Path, forks: Forks | None = None) -> "Token":
         """A new token of SoftHSM."""
         (folder / "tokens").mkdir()
         configuration = folder / "home/.config/softhsm2/softhsm2.conf"
         configuration.parent.mkdir(parents=True)
         configuration.write_text(f"directories.tokendir = {folder / 'tokens'}\n")
-        token = cls(folder, SOFTHSM, {"SOFTHSM2_CONF": str(configuration)})
+        token = cls(folder, SOFTHSM, {"SOFTHSM2_CONF": str(configuration)}, forks=forks)
         token.tool("--init-token", "--slot-index", "0", "--label", "lab", "--so-pin", SO_PIN)
         return token._with_pin()
 
@@ -90,16 +94,9 @@ class Token:
 
     def run(self, *command: str, **variables: str) -> subprocess.CompletedProcess[str]:
         """A Python program with access to the token."""
-        environment = {
-            **(os.environ | self.environment),
-            "PQSEC_PKCS11_MODULE": str(self.module),
-            "PQSEC_PIN_FILE": str(self.pin_file),
-        }
-        for name in ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE", "PQSEC_PASSPHRASE_FILE"):
-            environment.pop(name, None)
         return subprocess.run(
             [*self.begin, self.python, *command],
-            env=environment | variables,
+            env=self._variables() | variables,
             cwd=self.folder,
             stdin=subprocess.DEVNULL,
             capture_output=True,
@@ -108,16 +105,32 @@ class Token:
             timeout=300,
         )
 
+    def _variables(self) -> dict[str, str]:
+        environment = {
+            **(os.environ | self.environment),
+            "PQSEC_PKCS11_MODULE": str(self.module),
+            "PQSEC_PIN_FILE": str(self.pin_file),
+        }
+        for name in ("PQSEC_KEYSTORE", "ROS_SECURITY_KEYSTORE", "PQSEC_PASSPHRASE_FILE"):
+            environment.pop(name, None)
+        return environment
+
+    def _command(self, *words: str, **variables: str) -> subprocess.CompletedProcess[str]:
+        if self.forks is None:
+            return self.run("-m", "pqsec_pki", "-k", "k", *words, **variables)
+        environment = self._variables() | variables
+        return self.forks.run(("-k", "k", *words), cwd=self.folder, env=environment)
+
     def pqsec(self, *words: str, exit_code: int = 0, **variables: str) -> str:
         """What pqsec prints, on stdout and stderr, with the keystore `k`."""
-        done = self.run("-m", "pqsec_pki", "-k", "k", *words, **variables)
+        done = self._command(*words, **variables)
         assert done.returncode == exit_code, done.stdout + done.stderr
         assert "Traceback" not in done.stderr
         return done.stdout + done.stderr
 
     def answer(self, *words: str) -> dict[str, object]:
         """What it prints with --json."""
-        done = self.run("-m", "pqsec_pki", "-k", "k", *words, "--json")
+        done = self._command(*words, "--json")
         assert done.returncode == 0, done.stderr
         value: dict[str, object] = json.loads(done.stdout)
         return value

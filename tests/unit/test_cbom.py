@@ -17,12 +17,14 @@ from pqsec_pki.cbom._document import written
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.tokens import reference_to
+from tests.json_schemas import postpone_grammar
 from tests.unit.keystores import DAY, NOW, made
 
 
 @cache
 def validator():
     """Imported when it is first used, as in `tests.json_schemas`."""
+    postpone_grammar()
     from cyclonedx.schema import SchemaVersion  # noqa: PLC0415 -- see above
     from cyclonedx.validation.json import JsonStrictValidator  # noqa: PLC0415 -- see above
 

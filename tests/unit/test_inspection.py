@@ -181,6 +181,7 @@ def test_an_expanded_key_alone_is_told_with_the_way_out():
     assert "seed-only" in text
 
 
+@pytest.mark.usefixtures("all_iterations")
 def test_an_encrypted_key_is_told_without_its_passphrase():
     text = told(private_key_pem(key("ml-dsa-65"), b"pass"))
     assert text.startswith("Private key, encrypted")
