@@ -110,6 +110,7 @@ def test_modes_hold_under_any_umask(pqsec, tmp_path):
 # How the keys are protected
 
 
+@pytest.mark.usefixtures("all_iterations")
 @pytest.mark.parametrize(("profile", "keys"), [("transition", 4), ("hybrid", 2)])
 def test_every_ca_key_is_encrypted_under_the_passphrase(pqsec, tmp_path, profile, keys):
     secret(tmp_path / "passphrase", "open sesame, please\r\nsecond line\n")
