@@ -11,7 +11,8 @@ from pqsec_pki.domain import Device, read_domain
 from pqsec_pki.enrolment import Bundle, pin_texts, pins_in_use
 from pqsec_pki.errors import InvalidDocumentError, UsageError, VerificationError
 from pqsec_pki.server.configuration import FactoryFiles
-from pqsec_pki.server.factories import Factory
+from pqsec_pki.server.factories import Factory, factory_of
+from pqsec_pki.server.requester import NotAdmittedError
 from tests.some_keys import some_key
 from tests.unit.factory import DAY, SERVERS_ONLY, Maker
 from tests.unit.serving import DOMAIN, Robot, Server
@@ -101,6 +102,14 @@ def test_a_device_enrols_again_where_that_is_allowed(server, maker, tmp_path):
     assert (reply.status, reply.detail) == (403, "/other was revoked")
 
 
+def test_a_device_replaces_no_certificate_that_somebody_has(server, maker, tmp_path):
+    request = Robot(server, tmp_path / "a", "/fleet/r3").request
+    assert server.ask(request, token=server.token("/fleet/r3")).status == 200
+    other = Robot(server, tmp_path / "b", "/fleet/r3").request
+    reply = server.ask(other, identity=maker.device("SN-3"))
+    assert (reply.status, reply.detail) == (409, "/fleet/r3 has a certificate for another key")
+
+
 REFUSED = {
     "of another CA with the same name": (403, "the factory certificate is refused"),
     "without the CA between": (403, "unable to get local issuer certificate"),
@@ -186,6 +195,29 @@ def test_an_old_list_admits_nobody(maker, tmp_path):
     factory.verify(device, [], maker.now)
     with pytest.raises(VerificationError, match="the revocation list ended"):
         factory.verify(device, [], maker.now + 2 * DAY)
+
+
+def test_the_time_is_that_of_the_signer(maker, tmp_path):
+    factory = factory_at(tmp_path, maker.line)
+    device = Certificate.from_pem(maker.device("SN-1").chain)
+    with pytest.raises(VerificationError, match="certificate has expired"):
+        factory.verify(device, [], maker.now + 20 * DAY)
+
+
+def test_a_broken_digest_is_refused(maker, tmp_path):
+    factory = factory_at(tmp_path, maker.line)
+    device = Certificate.from_pem(maker.device("SN-1").chain)
+    # cryptography signs nothing with SHA-1, so only what is looked at says so: ecdsa-with-SHA1
+    device = replace(device, identifier=bytes.fromhex("300906072a8648ce3d0401"))
+    with pytest.raises(VerificationError, match="SHA-1, which is no longer safe"):
+        factory.verify(device, [], maker.now)
+
+
+def test_a_factory_that_the_server_does_not_know_admits_nobody(server, maker):
+    found = Certificate.from_pem(maker.device("SN-4").chain)
+    member = read_domain(server.folder / "domain.yaml").members["/other"]
+    with pytest.raises(NotAdmittedError, match=r"serve\.yaml has no factory bolt"):
+        factory_of(member, found, {})
 
 
 def test_a_long_path_is_not_followed(maker, tmp_path):
