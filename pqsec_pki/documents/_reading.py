@@ -83,7 +83,8 @@ def instant(element: "_Element") -> datetime:
 
 def _instant(value: str) -> datetime:
     found = _INSTANT.fullmatch(value)
-    if not found or len(found["year"]) > len("9999"):
+    next_day = "T24" in value  # which fromisoformat reads since Python 3.14
+    if not found or len(found["year"]) > len("9999") or next_day:
         raise ValueError(value)
     local = datetime.fromisoformat(f"{found['year']}-{found['rest']}")
     if not found["sign"]:

@@ -174,7 +174,7 @@ def number(item: Item) -> int:
     raise refused(item, f"{_quoted(item)} is not a number from 0 on{octal}")
 
 
-_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d(Z|[+-]\d\d:\d\d)", re.ASCII)
+_TIME = re.compile(r"\d{4}-\d\d-\d\dT(?!24)\d\d:\d\d:\d\d(Z|[+-]\d\d:\d\d)", re.ASCII)
 
 
 def time(item: Item) -> datetime:

@@ -283,6 +283,7 @@ PERMISSIONS_FAULTS = [
      "not_after: '2030-01-01' is not a time with a zone, such as"),
     ("validity: {not_after: 2030-01-01T00:00:00}\ngrants: [{name: a, publish: x}]", 1, "a time"),
     ("validity: {not_after: 2030-02-30T00:00:00Z}\ngrants: [{name: a, publish: x}]", 1, "a time"),
+    ("validity: {not_after: 2030-01-30T24:00:00Z}\ngrants: [{name: a, publish: x}]", 1, "a time"),
     ("validity: {not_before: 2030-01-01T00:00:00Z}\ngrants: []", 1, "'not_after' is missing"),
     ("grants: [{name: a, default: deny, publish: x}]", 1, "default: 'deny' is not allowed; did"),
     ("grants: [{name: a, nodes: {publish: x}}]", 1, "nodes: the key 'node' is missing"),
