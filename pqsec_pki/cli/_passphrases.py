@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.errors import PassphraseError, UsageError, located
+from pqsec_pki.errors import PassphraseError, PqsecError, UsageError, located
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore import Authorities, Keystore, SigningCa
@@ -59,6 +59,27 @@ def unlock(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa"
     With `cas`, only those: the keys of others may be on another machine.
     """
     return keystore.unlock(of_cas(keystore, passphrase_file, *cas), pin, cas)
+
+
+def unlock_with_signers(
+    keystore: "Keystore", passphrase_file: Path | None, needed: "SigningCa"
+) -> "Authorities":
+    """The CA `needed`, and the permissions CA if the same passphrase opens its files here.
+
+    Then the ledger's next head is signed with the change. Nothing fails without it.
+    """
+    from pqsec_pki.keystore import SigningCa  # noqa: PLC0415 -- not for every command
+
+    signer = SigningCa.PERMISSIONS
+    cas: tuple[SigningCa, ...] = (needed,)
+    is_locked = keystore.is_locked(cas)
+    if keystore.has_key_files(signer) and is_locked >= keystore.is_locked((signer,)):
+        cas = (needed, signer)
+    passphrase = of_cas(keystore, passphrase_file, needed)
+    try:
+        return keystore.unlock(passphrase, pin, cas)
+    except PqsecError:
+        return keystore.unlock(passphrase, pin, (needed,))
 
 
 def of_cas(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa") -> bytes | None:

@@ -224,7 +224,9 @@ def crl(
             hint="`pqsec revoke` issues one, or `pqsec ca crl` an empty one",
         )
     if found is None:
-        authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.IDENTITY)
+        authorities = _passphrases.unlock_with_signers(
+            keystore, passphrase_file, SigningCa.IDENTITY
+        )
         found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
     if out:
         with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):

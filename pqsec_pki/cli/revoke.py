@@ -100,7 +100,7 @@ def revoke(  # noqa: PLR0913 -- one for each option, by name
     certificates = certificates_in(files)
     if not yes:
         _ask(revocable(keystore, chosen, certificates, now=now))
-    authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.IDENTITY)
+    authorities = _passphrases.unlock_with_signers(keystore, passphrase_file, SigningCa.IDENTITY)
     revoked, made = revoke_subjects(
         keystore,
         authorities,

@@ -251,6 +251,13 @@ class Keystore:
         """Whether a key of `cas`, or of any CA, is encrypted; an adopted keystore may have one."""
         return any(map(is_encrypted, self._ca_key_files(cas).values()))
 
+    def has_key_files(self, ca: SigningCa) -> bool:
+        """Whether all keys of `ca` are in files here, and not in a token or on another machine."""
+        try:
+            return not any(map(is_reference, self._ca_key_files((ca,)).values()))
+        except (FileError, KeystoreError):
+            return False
+
     def key_uris(self, cas: Collection[SigningCa] = ()) -> dict[str, str]:
         """The URIs of the keys of `cas`, or of all CAs, that are not in files, by file name.
 

@@ -232,7 +232,9 @@ def test_log_keeps_signed_heads_and_compares_the_ledger_with_them(pqsec, k, tmp_
     assert (first["unsigned"], first["already"]) == (0, False)
     assert first["anchor"] == f"anchors/{first['size']:09}.checkpoint"
     assert "was already there" in pqsec("-k k log --anchor anchors").done().out
-    pqsec("-k k revoke /talker --yes")
+    away = (k / "private/permissions_ca.key.pem").rename(tmp_path / "away")
+    pqsec("-k k revoke /talker --yes").done()
+    away.rename(k / "private/permissions_ca.key.pem")
     told = pqsec("-k k log --anchor anchors").done()
     assert "no signed head is over 2 newer lines: `pqsec log --sign` signs one" in told.err
     signed = pqsec("-k k log --sign --json").done().json
