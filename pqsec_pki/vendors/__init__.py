@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.vendors._ros2_environment import ENCLAVE_OVERRIDE, SECURED
     from pqsec_pki.vendors.cyclone_plugins import agree, find_cyclone_plugins, in_words
     from pqsec_pki.vendors.elf import Library, read_library, runs_here
     from pqsec_pki.vendors.enclave import StackEnclave
@@ -32,8 +33,10 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "ENCLAVE_OVERRIDE",
     "EXPORTERS",
     "FASTRTPS",
+    "SECURED",
     "TRUST",
     "Check",
     "Export",

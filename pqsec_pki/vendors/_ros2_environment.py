@@ -9,10 +9,10 @@ from pqsec_pki.errors import shown
 from pqsec_pki.vendors.ros2_check import Check
 
 ENABLE, STRATEGY = "ROS_SECURITY_ENABLE", "ROS_SECURITY_STRATEGY"
-KEYSTORE, OVERRIDE = "ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
+KEYSTORE, ENCLAVE_OVERRIDE = "ROS_SECURITY_KEYSTORE", "ROS_SECURITY_ENCLAVE_OVERRIDE"
 DOMAIN = "ROS_DOMAIN_ID"
 
-EXACT = {ENABLE: "true", STRATEGY: "Enforce"}
+SECURED = {ENABLE: "true", STRATEGY: "Enforce"}
 """The only value of each variable that enables security."""
 _WITHOUT = {
     ENABLE: "nodes run unsecured, without a message",
@@ -29,19 +29,19 @@ def environment(
     `keystore` is its absolute path.
     """
     fix = _FIX.format(participant)
-    for name, exact in EXACT.items():
+    for name, exact in SECURED.items():
         value = variables.get(name)
         problem = "" if value == exact else f"{_is(value, exact)}: {_WITHOUT[name]}"
         yield Check(what=name, problem=problem, fix=fix)
     yield Check(what=KEYSTORE, problem=_keystore(keystore, variables.get(KEYSTORE)), fix=fix)
-    other = variables.get(OVERRIDE, "")
+    other = variables.get(ENCLAVE_OVERRIDE, "")
     problem = f"{_is(other)}, and overrides --enclave" if other not in {"", participant} else ""
-    yield Check(what=OVERRIDE, problem=problem, fix=f"unset {OVERRIDE}")
+    yield Check(what=ENCLAVE_OVERRIDE, problem=problem, fix=f"unset {ENCLAVE_OVERRIDE}")
 
 
 def near_misses(variables: Mapping[str, str]) -> Iterator[str]:
     """A sentence for each variable whose value looks right but does not enable security."""
-    for name, exact in EXACT.items():
+    for name, exact in SECURED.items():
         value = variables.get(name)
         if value and value != exact and _looks_on(value):
             yield f"in this shell {name} {_is(value, exact)}: {_WITHOUT[name]}"

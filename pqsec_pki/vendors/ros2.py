@@ -20,9 +20,9 @@ from pqsec_pki.vendors import _ros2_plugin, own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors._ros2_environment import (
     DOMAIN,
-    EXACT,
+    ENCLAVE_OVERRIDE,
     KEYSTORE,
-    OVERRIDE,
+    SECURED,
     domain_in,
     environment,
     near_misses,
@@ -74,10 +74,10 @@ def export(enclave: StackEnclave, options: Options) -> Export:
         stack=Stack.ROS2,
         participant=enclave.name,
         files={SCRIPT: script, **(_copies(enclave, options) if options.at else {})},
-        environment=EXACT | {KEYSTORE: keystore} | more,
+        environment=SECURED | {KEYSTORE: keystore} | more,
         steps=(
             *(f"export {each}" for each in plugin),
-            f"unset {OVERRIDE}",
+            f"unset {ENCLAVE_OVERRIDE}",
             f"ros2 run PACKAGE NODE --ros-args --enclave {enclave.name}",
         ),
         notes=tuple(_notes(enclave, keystore, options)),

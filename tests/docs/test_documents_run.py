@@ -208,8 +208,7 @@ def programs(tmp_path_factory):
 def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, programs, requires):
     session = Session(tmp_path, programs)
     if path.parent.parent.name == "examples":
-        for file in path.parent.iterdir():  # what the example brings with it
-            shutil.copy(file, session.work)
+        shutil.copytree(path.parent, session.work, dirs_exist_ok=True)  # what the example brings
         (session.work / path.name).unlink()
     for command in commands_in(path):
         place = f"{path.relative_to(ROOT)}:{command.line}"

@@ -106,6 +106,7 @@ MAY_IMPORT["est"] = MAY_IMPORT["enrolment"] | {"enrolment"}
 MAY_IMPORT["server"] = MAY_IMPORT["est"] | {"est", "domain"}
 MAY_IMPORT["installed"] = {"plugin", "vendors", "trial", "enrolment", "keystore"}
 MAY_IMPORT["cli"] = set(MAY_IMPORT)
+MAY_IMPORT["ros"] = {"vendors", "cli"}
 
 # Outside packages that only these rooms, or modules of the ground, may touch.
 ONLY_IN = {
@@ -119,6 +120,9 @@ ONLY_IN = {
     "twisted": {"server"},
     "pkcs11": {"tokens"},
     "psycopg": {"keystore"},
+    "launch": {"ros"},
+    "launch_ros": {"ros"},
+    "ros2cli": {"ros"},
     "yaml": {"documents", "vendors"},
     "jinja2": {"vendors", "report"},
 }
