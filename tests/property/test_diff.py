@@ -95,7 +95,7 @@ def test_all_topics_at_once_are_decided_as_one_by_one(seed, now):
             assert allowed is (topic in here), (grant, action, domain, partitions, tags, topic)
 
 
-@pytest.mark.parametrize("seed", seeds(60, 6))
+@pytest.mark.parametrize("seed", seeds(60, 2))
 def test_where_no_change_is_told_no_question_finds_one(seed, now):
     """Rules are shuffled, which changes something or not."""
     [old, *_] = Maker(seed).permissions(SUBJECT).grants

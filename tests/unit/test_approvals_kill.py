@@ -13,7 +13,7 @@ from tests.longer import LONG
 from tests.unit.approving import GROWS, WEEK, Council, refused
 from tests.unit.domains import DAY, NOW
 
-EVERY = 1 if LONG else 23
+EVERY = 1 if LONG else 69
 """Of how many calls one is killed."""
 MADE = [*("plan", "approval", "approval"), *("permissions", "permissions", "revocation", "crl")]
 

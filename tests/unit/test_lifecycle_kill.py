@@ -76,7 +76,7 @@ class Scene:
 
 
 SCENES = {
-    "renewed with new keys": Scene(lambda root: renew_in(root, *BOTH), every=13),
+    "renewed with new keys": Scene(lambda root: renew_in(root, *BOTH), every=29),
     "renewed with old keys": Scene(lambda root: renew_in(root, *BOTH, rekey=False)),
     "the first revocation": Scene(lambda root: revoke_in(root, "/talker")),
     "another revocation": Scene(
