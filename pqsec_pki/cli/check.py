@@ -102,6 +102,9 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     metavar="FILE",
     help="Ignore the findings in FILE, which an earlier `pqsec check --json` printed.",
 )
+@click.option(
+    "--proofs", is_flag=True, help="Of a robot: demand a proof that the ledger has its documents."
+)
 @_settings.command_options
 def check(  # noqa: PLR0913 -- one for each option
     paths: tuple[Path, ...],
@@ -111,6 +114,7 @@ def check(  # noqa: PLR0913 -- one for each option
     form: str,
     *,
     baseline: Path | None,
+    proofs: bool,
     strict: bool,
     sarif: bool,
 ) -> None:
@@ -133,6 +137,7 @@ def check(  # noqa: PLR0913 -- one for each option
         now=_settings.now(),
         targets=targets,
         ignore=map(_suppression, ignored),
+        proofs=proofs,
     )
     if known:
         report = _without_known(report, known)

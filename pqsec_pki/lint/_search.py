@@ -39,6 +39,8 @@ class Search:
     """What was found so far, by device and inode: a link is not a second file."""
 
     now: datetime
+    proofs: bool = False
+    """Whether each enclave must have a proof that the ledger has its documents."""
     files: dict[tuple[int, int], File] = field(default_factory=dict)
     folders: dict[Path, int] = field(default_factory=dict)
     enclaves: dict[Path, dict[str, tuple[int, int] | None]] = field(default_factory=dict)

@@ -18,16 +18,21 @@ _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNO
 
 
 def take_inventory(
-    paths: Iterable[Path], *, now: datetime, anchors: TrustAnchors | None = None
+    paths: Iterable[Path],
+    *,
+    now: datetime,
+    anchors: TrustAnchors | None = None,
+    proofs: bool = False,
 ) -> Inventory:
     """The inventory of these files and folders; links to files are followed.
 
-    Enclaves with the CAs in `anchors` use this value, with what it verified before.
+    Enclaves with the CAs in `anchors` use this value, with what it verified before. With `proofs`,
+    each must have one that the ledger has its documents.
 
     FileError if a path does not exist or cannot be read, or if there is nothing or too much to
     check.
     """
-    search = Search(now)
+    search = Search(now, proofs)
     named = list(paths)
     for path in named:
         search.add(path)
@@ -89,7 +94,16 @@ def _enclaves(
     for folder, names in search.enclaves.items():
         files = {name: search.files[key] for name, key in names.items() if key in search.files}
         broken = tuple(name for name, key in names.items() if key is None)
-        yield EnclaveFolder(folder, _name(folder), files, broken, search.now, subjects, anchors)
+        yield EnclaveFolder(
+            folder=folder,
+            name=_name(folder),
+            files=files,
+            broken_links=broken,
+            now=search.now,
+            proof_demanded=search.proofs,
+            inventory_files=subjects,
+            shared_anchors=anchors,
+        )
 
 
 def _name(folder: Path) -> str:

@@ -71,22 +71,23 @@ class LintReport:
         }
 
 
-def check(
+def check(  # noqa: PLR0913 -- one for each option
     paths: Iterable[Path],
     *,
     now: datetime,
     targets: Iterable[Stack] = (),
     ignore: Iterable[Suppression] = (),
     anchors: TrustAnchors | None = None,
+    proofs: bool = False,
 ) -> LintReport:
     """Find everything that is wrong or risky in these files, folders and keystores.
 
     No `targets` means all stacks. FileError if a path itself cannot be read; problems and
     unreadable files inside are findings. Documents that `anchors` verified before are not verified
-    again.
+    again. With `proofs`, each enclave must have one that the ledger has its documents.
     """
     named = list(paths)
-    inventory = take_inventory(named, now=now, anchors=anchors)
+    inventory = take_inventory(named, now=now, anchors=anchors, proofs=proofs)
     meant = frozenset(targets)
     asked = [rule for rule in RULES.values() if rule.matters_to(meant)]
     files = list(_suppression_files(named, tuple(ignore), asked, now.date()))

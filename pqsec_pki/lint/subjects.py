@@ -97,6 +97,8 @@ class EnclaveFolder:
     broken_links: tuple[str, ...]
     """Names of broken links."""
     now: datetime = field(repr=False)
+    proof_demanded: bool = field(repr=False)
+    """Whether it must have a proof that the ledger has its documents."""
     inventory_files: Mapping[Path, "Document | CertificateFile"] = field(repr=False)
     shared_anchors: SharedAnchors = field(repr=False)
 

@@ -254,6 +254,19 @@ def test_check_finds_a_proof_that_does_not_hold(keystore, bundle, robot):
         assert {each.path.name for each in told} <= {"ledger.proof", ROBOT.rpartition("/")[2]}
 
 
+def test_check_finds_a_missing_proof_where_it_is_demanded(bundle, robot):
+    put(robot, bundle)
+    proof = robot / f"current/enclaves{ROBOT}/ledger.proof"
+    for there in (True, False):
+        if not there:
+            proof.unlink()
+        for demanded in (True, False):
+            found = check([robot / "current/"], now=NOW, proofs=demanded).findings
+            told = [each for each in found if each.code is Code.PROOF_MISSING]
+            assert bool(told) is (demanded and not there)
+            assert {each.path for each in told} <= {proof}
+
+
 def test_a_proof_is_checked_against_the_verified_files(keystore, bundle):
     verified = verify_credentials(Credentials.of(ROBOT, bundle.enclaves[ROBOT]), now=NOW)
     known = (ROBOT, verified.anchors, verified.files)

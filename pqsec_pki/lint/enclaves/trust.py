@@ -129,11 +129,13 @@ def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
     try:
         credentials = Credentials.of(enclave.name, _files(enclave), anchors=enclave.anchors)
         verified = verify_credentials(credentials, now=enclave.now)
-        proof = enclave.files.get(PROOF)
-        if proof and not proof.unreadable:
-            with located(PROOF):
-                found = LedgerProof.from_bytes(proof.data)
-            verify_logged(enclave.name, verified.anchors, verified.files, found)
+        file = enclave.files.get(PROOF)
+        if file and file.unreadable:
+            return
+        with located(PROOF):
+            proof = LedgerProof.from_bytes(file.data) if file else None
+        demanded = enclave.proof_demanded
+        verify_logged(enclave.name, verified.anchors, verified.files, proof, demanded=demanded)
     except PqsecError as error:
         named = ENCLAVES in enclave.folder.parts  # elsewhere the folder's name means nothing
         for each in problems_of(error):
