@@ -31,6 +31,20 @@ class Stack(StrEnum):
     ROS2 = "ros2", "ROS 2"
 
 
+class OtherStack(str):
+    """A stack that another package adds to `pqsec export`: its name, in small letters."""
+
+    __slots__ = ("product",)
+    product: str
+    """The name of the product."""
+
+    def __new__(cls, name: str, product: str) -> Self:
+        """Such as OtherStack("labdds", "Lab DDS")."""
+        row = super().__new__(cls, name)
+        row.product = product
+        return row
+
+
 def stack_named(name: str) -> Stack:
     """The stack of that name; UsageError, with all names, if there is none."""
     for stack in Stack:

@@ -3,11 +3,12 @@
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import fields, is_dataclass
-from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any, get_args, get_origin
 
 from pqsec_pki._asn1 import Oid
-from pqsec_pki.errors import ForeignPackageError, shown
+from pqsec_pki._packages import blamed, fault, package_of
+from pqsec_pki.errors import shown
 
 _OWN = ("name", "wire_name", "token_name", "key_oid", "identifier")
 """Attributes that no two rows may share; a key agreement has the first two."""
@@ -21,52 +22,18 @@ _TOP_LEVEL = 5
 """NIST's highest security category."""
 
 
-def offered(group: str, name: str | None = None) -> list[EntryPoint]:
-    """The entry points of `group`; with `name`, in lower case, those that offer that row."""
-    try:
-        found = entry_points(group=group)
-    except Exception as error:
-        broken = ", ".join(_named(each) for each in distributions() if not _is_readable(each))
-        raise ForeignPackageError(
-            f"the entry points of {broken or 'a package'} cannot be read:"
-            f" {type(error).__name__}: {error}",
-            hint="update or uninstall that package",
-        ) from error
-    return [each for each in found if name is None or each.name.lower() == name]
-
-
-def _is_readable(package: Distribution) -> bool:
-    try:
-        return package.entry_points is not None
-    except Exception:  # noqa: BLE001 -- of any kind: it depends on Python's version
-        return False
-
-
-def package_of(entry: EntryPoint) -> str:
-    """Name and version of the package that declares `entry`; its value if it has no metadata."""
-    return (_named(entry.dist) if entry.dist else "") or entry.value
-
-
-def _named(package: Distribution) -> str:
-    try:
-        return " ".join(each for each in (package.name, package.version) if each)
-    except Exception:  # noqa: BLE001 -- metadata that is missing or not UTF-8
-        return ""
-
-
 def load(entry: EntryPoint, row_type: type[Any], known: Iterable[Any]) -> Any:
     """The row of `entry`.
 
     ForeignPackageError if it fails or ends the process, is not of class `row_type`, has attributes
     of other types, or shares a name with a known row.
     """
-    try:
+    words = f"the package {package_of(entry)} cannot add {entry.name!r}"
+    with blamed(words):
         row = entry.load()
-        fault = next(_faults(entry, row, row_type, known), None)
-    except (Exception, SystemExit) as error:
-        raise _broken(entry, f"{type(error).__name__}: {error}") from error
-    if fault:
-        raise _broken(entry, fault)
+        wrong = next(_faults(entry, row, row_type, known), None)
+    if wrong:
+        raise fault(words, wrong)
     return row
 
 
@@ -122,10 +89,3 @@ def _mistyped(value: Any, kind: type[Any]) -> Iterator[str]:
 
 def _same(row: Any, other: Any, attribute: str) -> bool:
     return bool(getattr(row, attribute) == getattr(other, attribute))
-
-
-def _broken(entry: EntryPoint, reason: str) -> ForeignPackageError:
-    return ForeignPackageError(
-        f"the package {package_of(entry)} cannot add {entry.name!r}: {reason}",
-        hint="update or uninstall that package",
-    )

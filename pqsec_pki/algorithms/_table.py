@@ -109,12 +109,12 @@ class AlgorithmTable(Generic[RowT]):
 
     def load_foreign(self) -> list[ForeignPackageError]:
         """Load the rows of all other packages into `added`; the errors of those that cannot be."""
-        from pqsec_pki.algorithms import _foreign  # noqa: PLC0415 -- few ask for such rows
+        from pqsec_pki import _packages  # noqa: PLC0415 -- few ask for such rows
 
         errors = []
         group, _ = self._foreign or ("", None)
         try:
-            entries = _foreign.offered(group)
+            entries = _packages.offered(group)
         except ForeignPackageError as error:
             return [error]
         for name in dict.fromkeys(entry.name.lower() for entry in entries):
@@ -130,22 +130,19 @@ class AlgorithmTable(Generic[RowT]):
             return self.added[name][0]
         if not self._foreign:
             return None
-        from pqsec_pki.algorithms import _foreign  # noqa: PLC0415 -- few ask for such rows
+        from pqsec_pki import _packages  # noqa: PLC0415 -- few ask for such rows
+        from pqsec_pki.algorithms import _foreign  # noqa: PLC0415 -- likewise
 
         group, row_type = self._foreign
-        entries = _foreign.offered(group, name)
+        entries = _packages.offered(group, name)
         if not entries:
             return None
-        packages = [_foreign.package_of(entry) for entry in entries]
-        if len(packages) > 1:
-            raise ForeignPackageError(
-                f"several packages offer the {self._kind} {name!r}: {', '.join(packages)}",
-                hint="uninstall all but one of them",
-            )
-        row: RowT = _foreign.load(entries[0], row_type, self.every())
-        self.added[name] = row, packages[0]
+        entry = _packages.the_only(entries, self._kind)
+        package = _packages.package_of(entry)
+        row: RowT = _foreign.load(entry, row_type, self.every())
+        self.added[name] = row, package
         warnings.warn(
-            f"the {self._kind} {name} is code of the package {packages[0]}, not of pqsec:"
+            f"the {self._kind} {name} is code of the package {package}, not of pqsec:"
             " pqsec has not checked that it is secure",
             ForeignAlgorithmWarning,
             stacklevel=3,

@@ -13,6 +13,7 @@ import click
 
 from pqsec_pki.cli import _settings
 from pqsec_pki.errors import PqsecError
+from pqsec_pki.stacks import Stack
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore import Keystore
@@ -55,6 +56,16 @@ def ros_topics(context: click.Context, parameter: click.Parameter, incomplete: s
     """The same as names of ROS 2 topics: /chatter for rt/chatter."""
     found = topics(context, parameter, "rt/")
     return _offers(incomplete, (each.removeprefix("rt") for each in found))
+
+
+def stacks(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
+    """The stacks that a configuration can be written for, also by other packages."""
+    from pqsec_pki.vendors import foreign_stacks  # noqa: PLC0415 -- it looks for packages
+
+    del context, parameter
+    with suppress(PqsecError):
+        return _offers(incomplete, (*Stack, *foreign_stacks()))
+    return []
 
 
 def signatures(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:

@@ -14,8 +14,8 @@ from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Keystore, is_several
-from pqsec_pki.stacks import Stack, stack_named
-from pqsec_pki.vendors import FASTRTPS, Export, Options, write
+from pqsec_pki.stacks import Stack
+from pqsec_pki.vendors import FASTRTPS, Export, Options, exporter_of, write
 from pqsec_pki.vendors import export as make_export
 
 
@@ -36,7 +36,7 @@ from pqsec_pki.vendors import export as make_export
         3: "the keystore, participant or a file cannot be read or written",
     },
 )
-@click.argument("stack", type=click.Choice([each.value for each in Stack]), metavar="STACK")
+@click.argument("stack", metavar="STACK", shell_complete=_completion.stacks)
 @click.argument(
     "names", nargs=-1, required=True, metavar="NAME...", shell_complete=_completion.participants
 )
@@ -107,12 +107,14 @@ def export(
 ) -> None:
     """Write the configuration that a DDS stack needs to run as a participant.
 
-    STACK is cyclonedds, fastdds, opendds, connext or ros2. NAME is a participant such as
+    STACK is cyclonedds, fastdds, opendds, connext or ros2, or one that an installed package adds
+    (entry point pqsec.exporters). NAME is a participant such as
     /talker, a pattern ('/robot1/*') or a group
     (@hall1). The files refer to the credentials where they are now. A
     configuration that the stack is known to refuse is not written; the reason is printed.
     """
     options = _options(**how)
+    exporter_of(stack)  # an unknown one is refused before a keystore is looked for
     keystore, now = _settings.open_keystore(), _settings.now()
     if len(names) > 1 or any(map(is_several, names)):
         if output is None:
@@ -120,7 +122,7 @@ def export(
         chosen = admitted(keystore, names)
         _print_all(_write_all(stack, keystore, chosen, options, output, now=now, force=force))
         return
-    made = make_export(stack_named(stack), keystore, names[0], options, now=now)
+    made = make_export(stack, keystore, names[0], options, now=now)
     if made.is_private and output is None:
         raise UsageError(
             "the configuration contains the passphrase and is not printed",
@@ -179,7 +181,7 @@ def _write_all(  # noqa: PLR0913 -- the options of the command
     for name in names:
         own = replace(options, at=options.at / name.lstrip("/")) if options.at else options
         with located(name):
-            made.append(make_export(stack_named(stack), keystore, name, own, now=now))
+            made.append(make_export(stack, keystore, name, own, now=now))
     found = []
     for each in made:
         folder = output / each.participant.lstrip("/")

@@ -8,33 +8,28 @@ import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from typing import Any
 
-from pqsec_pki.errors import ForeignPackageError, PqsecError
+from pqsec_pki._packages import blamed, offered, package_of
+from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import rule
 from pqsec_pki.lint.rule import Rule, Violation
 
 GROUP = "pqsec.lint_rules"
 _NAME = re.compile("(?!pqs$)[a-z]{2,8}")
-_REMEDY = "update or uninstall that package"
 
 
 def load_foreign_rules() -> None:
     """Add their rules to `rule.RULES`; ForeignPackageError for a package that cannot."""
-    for entry in sorted(entry_points(group=GROUP), key=lambda each: each.name):
-        known = dict(rule.RULES)
-        try:
+    for entry in offered(GROUP):
+        known, package = dict(rule.RULES), package_of(entry)
+        with blamed(f"the package {package} cannot add rules"):
             entry.load()
             added = {id_: each for id_, each in rule.RULES.items() if known.get(id_) is not each}
             _refuse(next(_faults(entry, added), None))
-        except (Exception, SystemExit) as error:
-            raise ForeignPackageError(
-                f"the package {_package(entry)} cannot add rules: {type(error).__name__}: {error}",
-                hint=_REMEDY,
-            ) from error
         for id_, each in added.items():
-            rule.RULES[id_] = replace(each, check=partial(_guarded, _package(entry), each))
+            rule.RULES[id_] = replace(each, check=partial(_guarded, package, each))
 
 
 def _refuse(fault: str | None) -> None:
@@ -54,21 +49,10 @@ def _faults(entry: EntryPoint, added: dict[str, Rule]) -> Iterator[str]:
             yield f"the argument of {id_} is annotated with no class"
 
 
-def _package(entry: EntryPoint) -> str:
-    return f"{entry.dist.name} {entry.dist.version}" if entry.dist else entry.value
-
-
 def _guarded(package: str, wrapped: Rule, subject: Any) -> Iterable[Violation]:
     """What the rule finds. Its failure ends the check: it must not look like no finding."""
-    try:
+    with blamed(f"rule {wrapped.id} of the package {package} failed", PqsecError):
         found: list[Any] = list(wrapped.check(subject))
         wrong = (each for each in found if not isinstance(each, Violation))
         _refuse(next((f"a {type(each).__name__} is no Violation" for each in wrong), None))
-    except PqsecError:
-        raise
-    except Exception as error:
-        raise ForeignPackageError(
-            f"rule {wrapped.id} of the package {package} failed: {type(error).__name__}: {error}",
-            hint=_REMEDY,
-        ) from error
     return found

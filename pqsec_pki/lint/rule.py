@@ -117,7 +117,7 @@ class Rule:
             "only_when_asked": self.only_when_asked,
         }
 
-    def matters_to(self, targets: frozenset[Stack]) -> bool:
+    def matters_to(self, targets: frozenset[str]) -> bool:
         """Whether the rule runs for these targets; no targets means all."""
         if not targets:
             return not self.only_when_asked

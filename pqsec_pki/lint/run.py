@@ -19,7 +19,6 @@ from pqsec_pki.lint.rule import Finding, Rule, Severity
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
 from pqsec_pki.lint.table import RULES
-from pqsec_pki.stacks import Stack
 
 COMMAND_LINE = Path("--ignore")
 _RANK = {severity: rank for rank, severity in enumerate(Severity)}
@@ -75,7 +74,7 @@ def check(  # noqa: PLR0913 -- one for each option
     paths: Iterable[Path],
     *,
     now: datetime,
-    targets: Iterable[Stack] = (),
+    targets: Iterable[str] = (),
     ignore: Iterable[Suppression] = (),
     anchors: TrustAnchors | None = None,
     proofs: bool = False,

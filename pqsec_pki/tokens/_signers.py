@@ -15,18 +15,18 @@ GROUP = "pqsec.signers"
 
 def find(uri: str) -> ExternalKey:
     """The key with that URI; UsageError if no package handles its scheme."""
-    from importlib.metadata import entry_points  # noqa: PLC0415 -- slow, and few keys are here
+    from pqsec_pki._packages import offered  # noqa: PLC0415 -- slow, and few keys are here
 
     scheme = uri.partition(":")[0].lower()
-    offered = [each for each in entry_points(group=GROUP) if each.name.lower() == scheme]
-    if len(offered) != 1:
+    found = offered(GROUP, scheme)
+    if len(found) != 1:
         raise UsageError(
-            f"{len(offered) or 'no'} installed packages handle keys with URIs that begin with"
+            f"{len(found) or 'no'} installed packages handle keys with URIs that begin with"
             f" '{scheme}:'",
             hint="keys in tokens have URIs such as 'pkcs11:token=lab;object=identity-ca'",
         )
     try:
-        signer: Any = offered[0].load()(uri)
+        signer: Any = found[0].load()(uri)
         public = load_public_key(bytes(signer.spki))
     except PqsecError:
         raise

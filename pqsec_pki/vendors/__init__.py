@@ -12,9 +12,11 @@ if TYPE_CHECKING:
     from pqsec_pki.vendors._ros2_environment import ENCLAVE_OVERRIDE, SECURED
     from pqsec_pki.vendors.cyclone_plugins import agree, find_cyclone_plugins, in_words
     from pqsec_pki.vendors.elf import Library, read_library, runs_here
-    from pqsec_pki.vendors.enclave import StackEnclave
-    from pqsec_pki.vendors.exports import Export, Options, write
+    from pqsec_pki.vendors.enclave import StackEnclave, standard_properties
+    from pqsec_pki.vendors.exporters import EXPORTERS, Exporter, exporter_of
+    from pqsec_pki.vendors.exports import FOLDER, Export, Options, write
     from pqsec_pki.vendors.fastdds_library import FastDds, examine, find_fastdds
+    from pqsec_pki.vendors.foreign import foreign_stacks
     from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
     from pqsec_pki.vendors.opendds_adapter import OpenDdsPlugin, install_opendds
     from pqsec_pki.vendors.opendds_library import OpenDds, find_opendds
@@ -28,7 +30,7 @@ if TYPE_CHECKING:
     from pqsec_pki.vendors.rollover import TRUST
     from pqsec_pki.vendors.ros2 import preflight
     from pqsec_pki.vendors.ros2_check import Check
-    from pqsec_pki.vendors.stacks import EXPORTERS, Exporter, export, exporter_of
+    from pqsec_pki.vendors.stacks import export
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -36,6 +38,7 @@ __all__ = [
     "ENCLAVE_OVERRIDE",
     "EXPORTERS",
     "FASTRTPS",
+    "FOLDER",
     "SECURED",
     "TRUST",
     "Check",
@@ -59,6 +62,7 @@ __all__ = [
     "find_fastdds",
     "find_opendds",
     "fit_for_a_command",
+    "foreign_stacks",
     "in_words",
     "install_opendds",
     "installed_plugins",
@@ -67,5 +71,6 @@ __all__ = [
     "recognise",
     "remove_plugins",
     "runs_here",
+    "standard_properties",
     "write",
 ]

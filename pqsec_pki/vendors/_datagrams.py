@@ -18,7 +18,7 @@ _FAST_DDS = f"the participant's property fastdds.max_message_size={MAX_MESSAGE} 
 _CYCLONE = (
     f"General/MaxMessageSize {MAX_MESSAGE}B and FragmentSize {SMALL_FRAGMENT}B in CYCLONEDDS_URI"
 )
-_AVOIDED_BY: Mapping[Stack, str] = {
+_AVOIDED_BY: Mapping[str, str] = {
     Stack.FASTDDS: _FAST_DDS,
     Stack.OPENDDS: f"SedpMaxMessageSize={MAX_MESSAGE} in its [rtps_discovery/NAME]",
     Stack.CONNEXT: f"dds.transport.UDPv4.builtin.parent.message_size_max={MAX_MESSAGE}",
@@ -27,7 +27,7 @@ _AVOIDED_BY: Mapping[Stack, str] = {
 """What makes the datagrams small, where the export does not."""
 
 
-def notes(stack: Stack, enclave: StackEnclave, options: Options, size: int) -> Iterator[str]:
+def notes(stack: str, enclave: StackEnclave, options: Options, size: int) -> Iterator[str]:
     """Sentences about datagrams and memory, if the largest message has `size` bytes."""
     frames = frames_of(size)
     if not enclave.has_large_handshake or frames <= 1:
@@ -39,10 +39,10 @@ def notes(stack: Stack, enclave: StackEnclave, options: Options, size: int) -> I
         )
         return
     held = frames * FRAME_MEMORY
+    remedy = f". Smaller datagrams: {_AVOIDED_BY[stack]}" if stack in _AVOIDED_BY else ""
     yield (
         f"handshake messages have up to {size} bytes: in one datagram {frames} IP fragments at an"
-        " MTU of 1500, and the loss of one loses the message. Smaller datagrams:"
-        f" {_AVOIDED_BY[stack]}"
+        f" MTU of 1500, and the loss of one loses the message{remedy}"
     )
     yield (
         f"Linux holds {IPFRAG_HIGH_THRESH} bytes of incomplete datagrams"
@@ -51,7 +51,7 @@ def notes(stack: Stack, enclave: StackEnclave, options: Options, size: int) -> I
     )
 
 
-def _limits(stack: Stack, options: Options) -> bool:
+def _limits(stack: str, options: Options) -> bool:
     """Whether the export itself limits datagrams."""
     in_ros = stack is Stack.ROS2 and options.plugin is not None and options.runs_in != FASTRTPS
     return stack is Stack.CYCLONEDDS or in_ros

@@ -81,7 +81,7 @@ class Options:
 class Export:
     """The files, variables and commands that one stack needs to run as one participant."""
 
-    stack: Stack
+    stack: str
     participant: str
     files: Mapping[str, str | Path] = field(repr=False)
     """Path below the export's folder -> its text, or the file of the keystore to copy there.

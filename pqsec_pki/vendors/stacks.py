@@ -1,143 +1,28 @@
-"""The stacks that credentials are exported for, and the check before an export."""
+"""The check before an export: whether the stack, or our plugin, would accept the participant."""
 
 from dataclasses import replace
 from datetime import datetime
-from importlib import import_module
 
-from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint import Finding, Severity, check, largest_messages
-from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
 from pqsec_pki.tokens import SCHEME
 from pqsec_pki.vendors import _datagrams, own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
-from pqsec_pki.vendors.exports import Export, Options, Version
-from pqsec_pki.vendors.own_plugin import FASTRTPS, OPENDDS, PRELOAD
+from pqsec_pki.vendors.exporters import EXPORTERS, Exporter, exporter_of
+from pqsec_pki.vendors.exports import Export, Options
+from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Exporter:
-    """A stack, and the module of this room that writes its configuration.
-
-    The module has `export(enclave, options) -> Export`, and may have
-    `severity(finding, options) -> Severity | None`: the severity of a finding for the chosen
-    version, None if it does not apply. Otherwise the severity is that of its rule, except for
-    findings that do not apply when our own plugin runs.
-    """
-
-    stack: Stack
-    versions: str
-    """The versions whose configuration is known, in words."""
-    first: Version = ()
-    end: Version | None = None
-    """The first version after them, if there is a limit."""
-    has_numbers: bool = True
-    """Whether its versions have numbers; those of ROS 2 have names."""
-    knows_loopback: bool = False
-    """Whether it is known how to restrict it to one machine."""
-    loads_plugins: bool = False
-    """Whether its configuration names the security plugins."""
-    loads_ours: tuple[str, ...] = ()
-    """The files of pqsec's own plugin that it can load in place of its own."""
-    takes_key_uris: bool = False
-    """Whether its own plugin is known to take a private key in a token."""
-    evidence: str
-    """How it is known that the stack accepts the export."""
-
-    def make(self, enclave: StackEnclave, options: Options) -> Export:
-        """The export, unchecked; UsageError for an option that the stack cannot have."""
-        if options.loopback and not self.knows_loopback:
-            able = ", ".join(each.stack for each in EXPORTERS if each.knows_loopback)
-            raise UsageError(
-                f"pqsec does not know how to restrict {self.stack.product} to one machine",
-                hint=f"--loopback is for {able}",
-            )
-        made: Export = import_module(f"pqsec_pki.vendors.{self.stack}").export(enclave, options)
-        return made
-
-    def refuse_unknown(self, options: Options) -> None:
-        """UsageError for a version whose configuration is not known."""
-        hint = f"exports are for {self.versions}"
-        if options.version is not None and not self.has_numbers:
-            raise UsageError(f"versions of {self.stack.product} have no numbers", hint=hint)
-        meant = options.release
-        if meant and (meant < self.first or (self.end and meant >= self.end)):
-            raise UsageError(
-                f"pqsec does not know the configuration of {self.stack.product} {options.version}",
-                hint=hint,
-            )
-
-    def severity(self, finding: Finding, options: Options) -> Severity | None:
-        """The severity for this stack; None if the finding does not apply to it."""
-        module = import_module(f"pqsec_pki.vendors.{self.stack}")
-        judge = getattr(module, "severity", own_plugin.severity)
-        judged: Severity | None = judge(finding, options)
-        return judged
-
-
-EXPORTERS = (
-    Exporter(
-        stack=Stack.CYCLONEDDS,
-        versions="0.10 and later",
-        first=(0, 10),
-        knows_loopback=True,
-        loads_plugins=True,
-        loads_ours=(LIBRARY,),
-        evidence="run",
-    ),
-    Exporter(
-        stack=Stack.FASTDDS,
-        versions="2.x and 3.x",
-        first=(2,),
-        end=(4,),
-        knows_loopback=True,
-        loads_ours=(PRELOAD,),
-        takes_key_uris=True,
-        evidence="run",
-    ),
-    Exporter(
-        stack=Stack.OPENDDS,
-        versions="3.x",
-        first=(3,),
-        end=(4,),
-        loads_ours=(OPENDDS,),
-        evidence="run with 3.13.3; later ones by their source",
-    ),
-    Exporter(
-        stack=Stack.CONNEXT,
-        versions="7.x",
-        first=(7,),
-        end=(8,),
-        evidence="its documents; not run",
-    ),
-    Exporter(
-        stack=Stack.ROS2,
-        versions="Jazzy",
-        has_numbers=False,
-        knows_loopback=True,
-        loads_ours=NAMES,
-        evidence="run",
-    ),
-)
-
-
-def exporter_of(stack: Stack) -> Exporter:
-    """The row of that stack."""
-    return next(each for each in EXPORTERS if each.stack is stack)
-
-
-def export(
-    stack: Stack, keystore: Keystore, name: str, options: Options, *, now: datetime
-) -> Export:
-    """What `stack` needs to run as the participant called `name`.
+def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: datetime) -> Export:
+    """What the stack of that name needs to run as the participant called `name`.
 
     VerificationError if the credentials cannot be trusted (room `credentials`), or the stack is
     known to refuse them (`pqsec check` finds an error), or our plugin does, unless
-    `options.anyway`; UsageError if an option is not for that stack; KeystoreError if there is no
-    such participant, FileError if our plugin is not there.
+    `options.anyway`; UsageError if there is no such stack, or an option is not for it;
+    KeystoreError if there is no such participant, FileError if our plugin is not there.
     """
     exporter = exporter_of(stack)
     exporter.refuse_unknown(options)
@@ -148,7 +33,7 @@ def export(
         raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
     _refuse_token(exporter, enclave, options)
     made = exporter.make(enclave, options)
-    report = check([enclave.folder], now=now, targets=[stack])
+    report = check([enclave.folder], now=now, targets=[exporter.stack])
     found: dict[Severity | None, list[Finding]] = {}
     for finding in report.findings:
         found.setdefault(exporter.severity(finding, options), []).append(finding)

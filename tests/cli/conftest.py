@@ -29,6 +29,7 @@ from pqsec_pki.cli._printing import JSON_VERSION
 
 NAMES = [profile.name for profile in PROFILES]
 PARTICIPANTS = ("/talker", "/listener")
+EXTENSION = Path(__file__).parents[2] / "examples/extension"
 
 Run = Callable[..., "Result"]
 
@@ -209,6 +210,29 @@ def keystore(domains, tmp_path) -> Callable[..., Path]:
         return copy(domains(profile, label), tmp_path / name)
 
     return copied
+
+
+@pytest.fixture(scope="session")
+def extension(tmp_path_factory) -> Run:
+    """extension(folder, "check robots") runs it where examples/extension is installed by pip."""
+    site = tmp_path_factory.mktemp("site")
+    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation"]
+    subprocess.run([*pip, "--no-index", "--target", site, EXTENSION], check=True)
+    path = os.pathsep.join([*sys.path, str(site)])
+
+    def run(folder: Path, line: str) -> Result:
+        done = subprocess.run(
+            [sys.executable, "-m", "pqsec_pki", *shlex.split(line)],
+            cwd=folder,
+            env=clean_environment(PYTHONPATH=path),
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert "Traceback" not in done.stderr
+        return Result(done.returncode, done.stdout, done.stderr)
+
+    return run
 
 
 @pytest.fixture(scope="session")

@@ -1,28 +1,16 @@
-"""Rules of other packages: the one in examples/extension, and broken ones."""
+"""Rules of other packages that are broken; test_extension.py has one that works."""
 
-import json
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
-EXAMPLE = Path(__file__).parents[2] / "examples/extension"
 RULE = """
 from pqsec_pki.lint import File, Severity, lint_rule
 @lint_rule("{id}", Severity.ERROR, "t", why="w", fix="f", bad="b", good="g")
 def check(subject: {scope}): {body}
 """
-
-
-@pytest.fixture(scope="module")
-def example(tmp_path_factory):
-    """The folder into which pip installs the example."""
-    site = tmp_path_factory.mktemp("site")
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*pip, "--no-index", "--target", site, EXAMPLE], check=True)
-    return site
 
 
 @pytest.fixture
@@ -56,18 +44,6 @@ def package(tmp_path):
         return site
 
     return make
-
-
-def test_the_rule_of_the_example_finds_what_it_is_for(run, example):
-    run(example, "demo robots")
-    said = run(example, "check robots --ignore PQS707=demo --ignore PQS320=x --json")
-    found = [each for each in json.loads(said)["findings"] if each["rule"] == "LAB001"]
-    assert {Path(each["path"]).parent.name for each in found} == {"talker", "listener"}
-    run(example, "check robots --ignore PQS707=demo --strict", code=1)
-    run(example, "check robots --ignore PQS707=demo --ignore LAB001=demo --strict")
-    assert "LAB001 (warning, lab): a participant's" in run(example, "check --explain LAB001")
-    [log] = json.loads(run(example, "check robots --sarif"))["runs"]
-    assert "LAB001" in {each["id"] for each in log["tool"]["driver"]["rules"]}
 
 
 @pytest.mark.parametrize(
@@ -109,3 +85,9 @@ def test_a_rule_that_fails_does_not_look_like_no_finding(run, package, tmp_path,
     said = run(package(code), "check some.xml", code=3)
     assert "rule LAB001 of the package lab 2.0 failed" in said
     assert words in said
+
+
+def test_a_package_whose_entry_points_cannot_be_read_is_named(run, package):
+    site = package("")
+    (site / "lab-2.0.dist-info/entry_points.txt").write_text("[x]\nno equals sign")
+    assert "the entry points of lab 2.0 cannot be read" in run(site, "check nowhere", code=3)

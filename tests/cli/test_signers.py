@@ -1,6 +1,5 @@
-"""CA keys that another process holds, by the package in examples/signer."""
+"""CA keys that another process holds, by the package in examples/extension."""
 
-import os
 import subprocess
 import sys
 import time
@@ -9,31 +8,18 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.algorithms import SIGNATURES, private_key_pem
+from tests.cli.conftest import EXTENSION
 
-EXAMPLE = Path(__file__).parents[2] / "examples/signer"
 LONG_ENOUGH = 600
 """Times a tenth of a second."""
 
 
-@pytest.fixture(scope="module")
-def installed(tmp_path_factory):
-    """The environment of a process with the package."""
-    site = tmp_path_factory.mktemp("site")
-    pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation"]
-    subprocess.run([*pip, "--no-index", "--target", site, EXAMPLE], check=True)
-    return os.environ | {"PYTHONPATH": os.pathsep.join([*sys.path, str(site)])}
-
-
 @pytest.fixture
-def run(installed, tmp_path):
+def run(extension, tmp_path):
     def run(line, code=0):
-        done = subprocess.run(
-            [sys.executable, "-m", "pqsec_pki", "-k", "k", *line.split()],
-            cwd=tmp_path, env=installed, capture_output=True, text=True, check=False,
-        )  # fmt: skip
-        assert done.returncode == code, done.stdout + done.stderr
-        assert "Traceback" not in done.stderr
-        return done.stdout + done.stderr
+        done = extension(tmp_path, f"-k k {line}")
+        assert done.code == code, done
+        return done.out + done.err
 
     return run
 
@@ -46,7 +32,7 @@ def holder(tmp_path):
     def start(algorithm="ecdsa-p256"):
         key, place = tmp_path / f"key{len(started)}", tmp_path / f"s{len(started)}"
         key.write_bytes(private_key_pem(SIGNATURES.named(algorithm).generate()))
-        command = [sys.executable, EXAMPLE / "signing_process.py", key, place]
+        command = [sys.executable, EXTENSION / "signing_process.py", key, place]
         started.append(subprocess.Popen(command))
         for _ in range(LONG_ENOUGH):
             if place.exists():

@@ -32,6 +32,7 @@ GROUND = {
     "_files",
     "_lazy",
     "_owners",
+    "_packages",
     "_processes",
     "_asn1",
 }
