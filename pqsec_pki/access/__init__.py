@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from pqsec_pki.access._patterns import opendds_reads_beyond
     from pqsec_pki.access.amending import (
         TopicRights,
+        add_grant,
         add_rights,
         allowed_domains,
         remove_rights,
@@ -78,6 +79,7 @@ __all__ = [
     "TopicRights",
     "TopicRow",
     "Viewpoint",
+    "add_grant",
     "add_rights",
     "allowed_domains",
     "decide",

@@ -39,17 +39,29 @@ def add_rights(grant: Grant, rights: TopicRights, domains: DomainSet) -> Grant:
 
     UsageError if a deny rule is for one of them, and for an empty topic.
     """
-    if "" in rights.publish + rights.subscribe:
-        raise UsageError("a topic name is empty, which crashes Cyclone DDS")
-    rules = [] if _denies_everything(grant) else list(grant.rules)
+    rules = _rules_to_extend(grant)
     for action, topic in rights:
-        decided = _first(rules, action, topic, domains)
-        if decided and not decided.allow:
-            raise UsageError(
-                f"{grant.name} may not {action} {topic}: {_at(decided)} denies it", hint=_HINT
-            )
-        if decided is None:
-            _add(rules, action, topic, domains)
+        _add(rules, grant, action, Criteria(topics=(topic,)), domains)
+    return replace(grant, rules=tuple(rules))
+
+
+def add_grant(grant: Grant, more: Grant) -> Grant:
+    """The grant with all that `more` allows, with its partitions and data tags, on its domains.
+
+    UsageError as in `add_rights`, and if `more` denies anything or allows by default: what it
+    allows then depends on the order of its rules.
+    """
+    if _denies_everything(more):
+        return grant
+    if more.default is DefaultAction.ALLOW or not all(rule.allow for rule in more.rules):
+        raise UsageError(f"the grant for {more.name} denies, or allows by default", hint=_HINT)
+    rules = _rules_to_extend(grant)
+    for rule in more.rules:
+        for action in (Action.PUBLISH, Action.SUBSCRIBE, Action.RELAY):
+            for criteria in _criteria(rule, action):
+                for topic in criteria.topics:
+                    one = replace(criteria, topics=(topic,))
+                    _add(rules, grant, action, one, rule.domains)
     return replace(grant, rules=tuple(rules))
 
 
@@ -79,36 +91,57 @@ def remove_rights(grant: Grant, rights: TopicRights) -> Grant:
     return replace(grant, rules=(PermissionRule.deny_all(everywhere),))
 
 
+def _rules_to_extend(grant: Grant) -> list[PermissionRule]:
+    return [] if _denies_everything(grant) else list(grant.rules)
+
+
+def _add(
+    rules: list[PermissionRule], grant: Grant, action: Action, one: Criteria, domains: DomainSet
+) -> None:
+    """Add the criteria, of one topic, to the rules of the grant, unless they allow it already."""
+    [topic] = one.topics
+    if not topic:
+        raise UsageError("a topic name is empty, which crashes Cyclone DDS")
+    decided = _first(rules, action, one, domains)
+    if decided and not decided.allow:
+        raise UsageError(
+            f"{grant.name} may not {action} {topic}: {_at(decided)} denies it", hint=_HINT
+        )
+    if decided is None:
+        _extend(rules, action, one, domains)
+
+
 def _first(
-    rules: Iterable[PermissionRule], action: Action, topic: str, domains: DomainSet
+    rules: Iterable[PermissionRule], action: Action, one: Criteria, domains: DomainSet
 ) -> PermissionRule | None:
     """The rule that decides on all of these domains; None if none does, or only on some."""
+    [topic] = one.topics
     wanted = set(domains.ids())
     for rule in rules:
         here = wanted & set(rule.domains.ids())
-        if rule.allow and here == wanted and within(topic, _plain(rule, action), Budget()):
+        if rule.allow and here == wanted and within(topic, _alike(rule, action, one), Budget()):
             return rule
         if not rule.allow and here and meets(topic, _topics(rule, action), Budget()):
             return rule
     return None
 
 
-def _add(rules: list[PermissionRule], action: Action, topic: str, domains: DomainSet) -> None:
-    """Add the topic to the allow rule of these domains, or to a new rule at the end."""
+def _extend(rules: list[PermissionRule], action: Action, one: Criteria, domains: DomainSet) -> None:
+    """Add the criteria to the allow rule of these domains, or to a new rule at the end."""
     for number, rule in enumerate(rules):
         if rule.allow and rule.domains == domains:
-            rules[number] = _with(rule, action, topic)
+            rules[number] = _with(rule, action, one)
             return
-    rules.append(_with(PermissionRule(allow=True, domains=domains), action, topic))
+    rules.append(_with(PermissionRule(allow=True, domains=domains), action, one))
 
 
-def _with(rule: PermissionRule, action: Action, topic: str) -> PermissionRule:
+def _with(rule: PermissionRule, action: Action, one: Criteria) -> PermissionRule:
     criteria = list(_criteria(rule, action))
     for number, each in enumerate(criteria):
-        if _is_plain(each):
-            criteria[number] = replace(each, topics=(*each.topics, topic))
+        if _limits(each) == _limits(one):
+            criteria[number] = replace(each, topics=(*each.topics, *one.topics))
             return _replaced(rule, action, criteria)
-    return _replaced(rule, action, [*criteria, Criteria(topics=(topic,))])
+    return _replaced(rule, action, [*criteria, replace(one, line=None)])
 
 
 def _without(rule: PermissionRule, rights: TopicRights) -> PermissionRule:
@@ -127,25 +160,30 @@ def _without(rule: PermissionRule, rights: TopicRights) -> PermissionRule:
 def _replaced(rule: PermissionRule, action: Action, criteria: Iterable[Criteria]) -> PermissionRule:
     if action is Action.PUBLISH:
         return replace(rule, publish=tuple(criteria))
-    return replace(rule, subscribe=tuple(criteria))
+    if action is Action.SUBSCRIBE:
+        return replace(rule, subscribe=tuple(criteria))
+    return replace(rule, relay=tuple(criteria))
 
 
 def _criteria(rule: PermissionRule, action: Action) -> tuple[Criteria, ...]:
-    return rule.publish if action is Action.PUBLISH else rule.subscribe
+    if action is Action.PUBLISH:
+        return rule.publish
+    return rule.subscribe if action is Action.SUBSCRIBE else rule.relay
 
 
 def _topics(rule: PermissionRule, action: Action) -> list[str]:
     return [topic for each in _criteria(rule, action) for topic in each.topics]
 
 
-def _plain(rule: PermissionRule, action: Action) -> list[str]:
-    """Its topics that are not limited to partitions or data tags."""
-    plain = [each for each in _criteria(rule, action) if _is_plain(each)]
-    return [topic for each in plain for topic in each.topics]
+def _alike(rule: PermissionRule, action: Action, one: Criteria) -> list[str]:
+    """Its topics with the same partitions and data tags."""
+    alike = [each for each in _criteria(rule, action) if _limits(each) == _limits(one)]
+    return [topic for each in alike for topic in each.topics]
 
 
-def _is_plain(criteria: Criteria) -> bool:
-    return not criteria.partitions and not criteria.data_tags
+def _limits(criteria: Criteria) -> tuple[frozenset[str], frozenset[tuple[str, str]]]:
+    """The partitions and data tags, of which the order has no meaning."""
+    return frozenset(criteria.partitions), frozenset(criteria.data_tags)
 
 
 def _denies_everything(grant: Grant) -> bool:

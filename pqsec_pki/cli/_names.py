@@ -27,15 +27,18 @@ def named(
     return found
 
 
-def admitted(keystore: Keystore, names: Sequence[str]) -> list[str]:
+def admitted(
+    keystore: Keystore, names: Sequence[str], known: Sequence[str] | None = None
+) -> list[str]:
     """The names, each once; for a pattern or group the participants that it stands for.
 
-    It leaves revoked participants out, and a note says so. KeystoreError if no other is left.
+    Those are participants of the keystore, or of `known`. It leaves revoked participants out, and
+    a note says so. KeystoreError if no other is left.
     """
     literal = [regular_name(name) for name in names if not is_several(name)]
     if len(literal) == len(names):
         return list(dict.fromkeys(literal))
-    matching = [name for name in named(keystore, names) if name.startswith("/")]
+    matching = [name for name in named(keystore, names, known) if name.startswith("/")]
     standing = status_of(keystore, matching, now=_settings.now())
     revoked = {each.name for each in standing.participants if each.state is State.REVOKED}
     left_out = revoked - set(literal)

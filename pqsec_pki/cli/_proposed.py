@@ -15,7 +15,7 @@ from pqsec_pki.cli import _settings
 from pqsec_pki.cli._bundles import load_requests
 from pqsec_pki.cli._policy import grants_in
 from pqsec_pki.cli._settings import APPROVED
-from pqsec_pki.documents import DomainSet, Permissions
+from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.domain import KINDS, CommandReview
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
@@ -143,6 +143,10 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             domains = params["domains"]
             on = keystore.domains if domains is None else DomainSet.parse(domains)
             yield from _of_policy(params["policy"], on, params["validity"])
+        case "permit" if params["policy"]:
+            from pqsec_pki.cli.permit import policy_grants  # noqa: PLC0415 -- only here
+
+            yield from _granted(policy_grants(keystore, params["policy"], params["domains"]))
         case "sign-request sign":
             asked = SignRequest.from_bytes(_files.read(params["file"], limit=MAX_ARCHIVE))
             yield from _certified(asked.requests)
@@ -162,7 +166,11 @@ def _of_policy(
     if path is None:
         return
     spec = ParticipantSpec(name="/any", domains=domains, validity=validity)
-    for grant in grants_in(path, spec, _settings.now()):
+    yield from _granted(grants_in(path, spec, _settings.now()))
+
+
+def _granted(grants: Iterable[Grant]) -> Iterator[ChangedRights]:
+    for grant in grants:
         difference = permissions_diff(None, Permissions(grants=(grant,)))
         words = (f"{each.sense}: {each.text}" for each in difference.changes)
         yield ChangedRights((shown(grant.name),), tuple(shown(each, len(each)) for each in words))

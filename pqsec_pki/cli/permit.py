@@ -1,6 +1,7 @@
 """pqsec permit: add or remove single rights of participants."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
@@ -8,21 +9,29 @@ import click
 
 from pqsec_pki.access import (
     TopicRights,
+    add_grant,
     add_rights,
     allowed_domains,
     permissions_diff,
     remove_rights,
 )
-from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _help, _passphrases, _policy, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli._participant_options import note_doubtful_topics, topic_options, topics_of
 from pqsec_pki.cli.diff import difference_lines, note_incomplete
 from pqsec_pki.documents import DomainSet, Grant
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import Keystore, SigningCa
-from pqsec_pki.lifecycle import PermissionsChange, changed_permissions, sign_changed
+from pqsec_pki.lifecycle import (
+    ParticipantSpec,
+    PermissionsChange,
+    changed_permissions,
+    sign_changed,
+)
 from pqsec_pki.policy import DocumentDifference
+
+_EVERYBODY = ("/**",)
 
 
 @_help.command(
@@ -33,6 +42,9 @@ from pqsec_pki.policy import DocumentDifference
         "Remove a right from all nodes of a robot": (
             "pqsec permit '/fleet/*' --remove --publish rt/chatter --yes"
         ),
+        "Allow what was seen in a recording, each participant what it used": (
+            "pqsec permit --policy learned.yaml --yes"
+        ),
     },
     exit_codes={
         0: "the new permissions are signed, or there was nothing to change",
@@ -41,7 +53,7 @@ from pqsec_pki.policy import DocumentDifference
         3: "not changed: a participant, the keystore or the passphrase is missing or wrong",
     },
 )
-@click.argument("names", nargs=-1, required=True, shell_complete=_completion.participants)
+@click.argument("names", nargs=-1, metavar="[NAME]...", shell_complete=_completion.participants)
 @click.option(
     "--add/--remove", default=True, help="Add these rights, or remove them.  [default: add]"
 )
@@ -52,12 +64,18 @@ from pqsec_pki.policy import DocumentDifference
     " rights]",
 )
 @topic_options
+@click.option(
+    "--policy",
+    type=_settings.FILE,
+    help="Add the rights of each NAME in permissions in YAML or an SROS2 policy.",
+)
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
 @_passphrases.option
 @_settings.command_options
-def permit(
+def permit(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
     domains: str | None,
+    policy: Path | None,
     passphrase_file: Path | None,
     *,
     add: bool,
@@ -66,19 +84,23 @@ def permit(
 ) -> None:
     """Add or remove single rights of participants; their keys stay.
 
-    NAME may be a pattern ('/robot1/*') or a group (@hall1). The change of rights is shown
-    first. Either all participants are changed or none. Robots get the new permissions with
-    their next bundle, or by a copy of the enclave.
+    NAME may be a pattern ('/robot1/*') or a group (@hall1). With --policy, such as a proposal
+    of `pqsec permissions learn`, each participant gets what the file grants to its name; without
+    a NAME, all that are in the file and in the keystore.
+
+    The change of rights is shown first. Either all participants are changed or none. Robots get
+    the new permissions with their next bundle, or by a copy of the enclave.
     """
     publish, subscribe = topics_of(**topics)
-    if not publish and not subscribe:
-        raise UsageError("no right named", hint="name topics: --publish rt/chatter")
-    if domains is not None and not add:
-        raise UsageError("--remove and --domain exclude each other: a right is removed everywhere")
-    keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     rights = TopicRights(publish=publish, subscribe=subscribe)
-    edit = _edit(keystore, rights, domains, add=add)
-    found = changed_permissions(keystore, admitted(keystore, names), edit, now=now)
+    _refuse_mixed(names, rights, domains, policy, add=add)
+    keystore, now = _settings.open_keystore(to_change=True), _settings.now()
+    if policy:
+        grants = policy_grants(keystore, policy, domains)
+        chosen, edit = _in_policy(keystore, names, policy, grants), _granting(grants)
+    else:
+        chosen, edit = admitted(keystore, names), _edit(keystore, rights, domains, add=add)
+    found = changed_permissions(keystore, chosen, edit, now=now)
     changes = [each for each in found if each.new != each.old]
     differences = [
         DocumentDifference(f"permissions of {each.name}", permissions_diff(each.old, each.new))
@@ -94,13 +116,81 @@ def permit(
     _report(keystore, changes, differences, complete=complete, shown=not yes)
 
 
+def _refuse_mixed(
+    names: tuple[str, ...],
+    rights: TopicRights,
+    domains: str | None,
+    policy: Path | None,
+    *,
+    add: bool,
+) -> None:
+    """UsageError for options that have no meaning together, or none at all."""
+    if domains is not None and not add:
+        raise UsageError("--remove and --domain exclude each other: a right is removed everywhere")
+    if policy:
+        if any(rights):
+            raise UsageError("--policy and topics exclude each other")
+        if not add:
+            raise UsageError("--policy adds rights: it excludes --remove")
+        if domains is not None and policy.suffix != ".xml":
+            raise UsageError(f"{policy} has the domains of its rights: it excludes --domain")
+    elif not any(rights):
+        raise UsageError("no right named", hint="name topics: --publish rt/chatter")
+    elif not names:
+        raise UsageError("no participant named", hint="give names, or --policy FILE")
+
+
+def policy_grants(keystore: Keystore, policy: Path, domains: str | None) -> tuple[Grant, ...]:
+    """What the policy grants; that of SROS2 on these domains, or those of the keystore."""
+    where = keystore.domains if domains is None else DomainSet.parse(domains)
+    day = timedelta(days=1)  # grants keep their validity
+    spec = ParticipantSpec(name="/any", domains=where, validity=day)
+    return _policy.grants_in(policy, spec, _settings.now())
+
+
+def _in_policy(
+    keystore: Keystore, names: tuple[str, ...], policy: Path, grants: Iterable[Grant]
+) -> list[str]:
+    """The participants of the keystore among the names that the policy has grants for."""
+    granted, there = dict.fromkeys(each.name for each in grants), set(keystore.names())
+    both = [name for name in granted if name in there]
+    if not both:
+        raise KeystoreError(
+            f"nobody whom {policy} has grants for is in the keystore",
+            hint=f"`pqsec issue --policy {policy}` issues them",
+        )
+    found = admitted(keystore, names or _EVERYBODY, both)
+    if lacking := [name for name in found if name not in granted]:
+        raise UsageError(
+            f"{policy} has no grant for {_printing.few(lacking)}",
+            hint=f"it has {_printing.few(list(granted))}",
+        )
+    absent = [name for name in granted if name not in there and name != _policy.UNNAMED]
+    if absent and not names:
+        _printing.note(f"not in the keystore: {_printing.few(absent)}: `pqsec issue --policy`")
+    return found
+
+
+def _granting(grants: Iterable[Grant]) -> Callable[[str, Grant], Grant]:
+    """The change of a grant that adds those for the name."""
+    every = tuple(grants)
+
+    def edited(name: str, grant: Grant) -> Grant:
+        for more in every:
+            if more.name == name:
+                grant = add_grant(grant, more)
+        return grant
+
+    return edited
+
+
 def _edit(
     keystore: Keystore, rights: TopicRights, domains: str | None, *, add: bool
-) -> Callable[[Grant], Grant]:
+) -> Callable[[str, Grant], Grant]:
     """The change of a grant. UsageError for what is not a set of domains."""
     wanted = None if domains is None else DomainSet.parse(domains)
 
-    def edited(grant: Grant) -> Grant:
+    def edited(_: str, grant: Grant) -> Grant:
         if not add:
             return remove_rights(grant, rights)
         return add_rights(grant, rights, wanted or allowed_domains(grant) or keystore.domains)

@@ -45,11 +45,13 @@ class PermissionsChange:
 def changed_permissions(
     keystore: Keystore,
     names: Sequence[str],
-    edit: Callable[[Grant], Grant],
+    edit: Callable[[str, Grant], Grant],
     *,
     now: datetime,
 ) -> list[PermissionsChange]:
-    """The permissions of each participant, and what `edit` makes of its grant; writes nothing.
+    """The permissions of each participant, and what `edit` makes of its name and its grant.
+
+    Nothing is written.
 
     KeystoreError for a participant that does not exist, was revoked, has no grant, or whose
     files are not its newest; VerificationError for a signature that is not valid; and the errors
@@ -101,19 +103,22 @@ def sign_changed(
         transaction.record(*shared_out(sign, changes, folders))
 
 
-def _changed(inspector: Inspector, name: str, edit: Callable[[Grant], Grant]) -> PermissionsChange:
+def _changed(
+    inspector: Inspector, name: str, edit: Callable[[str, Grant], Grant]
+) -> PermissionsChange:
     folder = inspector.keystore.root / layout.enclave_folder(name)
     certificate = inspector.certificate(name, folder)
     subject = certificate.subject_name
     old = _signed(inspector, name, folder)
     if old is None:
         least = _least(certificate, name, inspector.keystore.domains)
-        return PermissionsChange(name, None, Permissions(grants=(edit(least),)), subject=subject)
+        first = Permissions(grants=(edit(name, least),))
+        return PermissionsChange(name, None, first, subject=subject)
     with located(folder / layout.PERMISSIONS):
         own = old.grants_for(subject)
         if not own:
             raise KeystoreError(f"there is no grant for {subject}")
-    grants = [edit(grant) if grant in own else grant for grant in old.grants]
+    grants = [edit(name, grant) if grant in own else grant for grant in old.grants]
     new = Permissions(grants=tuple(grants))
     digest = inspector.config_digest(name, folder).removeprefix(PERMITTED)
     return PermissionsChange(name, old, new, digest, subject)

@@ -140,6 +140,19 @@ def test_a_file_that_a_policy_includes_is_approved_too(run):
     run("apply plan.json --yes").done()
 
 
+def test_what_a_policy_adds_is_approved_with_the_files_that_it_includes(run):
+    (run.folder / "policy.xml").write_text(POLICY.replace('"/new"', '"/r1"'))
+    (run.folder / "more.xml").write_text(MORE)
+    told = run(f"{PROPOSE} permit --policy policy.xml").done()
+    assert "  granted: publish 'rt/pose'" in told.out
+    approve(run)
+    (run.folder / "more.xml").write_text(MORE.replace("pose", "stop"))
+    run("apply plan.json --yes").refused(1, "what the command changes is not what was approved")
+    (run.folder / "more.xml").write_text(MORE)
+    run("apply plan.json --yes").done()
+    run("explain /r1 --ros-publish /pose").done()
+
+
 def test_a_group_that_changes_without_a_line_is_seen(run):
     """The groups are in a file of the keystore, and not in the ledger."""
     with (run.folder / "domain.yaml").open("a") as file:

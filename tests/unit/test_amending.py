@@ -4,7 +4,15 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
-from pqsec_pki.access import Action, Question, TopicRights, add_rights, decide, remove_rights
+from pqsec_pki.access import (
+    Action,
+    Question,
+    TopicRights,
+    add_grant,
+    add_rights,
+    decide,
+    remove_rights,
+)
 from pqsec_pki.documents import (
     Criteria,
     DefaultAction,
@@ -179,3 +187,55 @@ def test_a_grant_without_rules_has_nothing_to_remove():
 def test_a_topic_that_is_listed_twice_is_removed():
     found = remove_rights(grant(rule("a", "a"), rule("b")), rights("a"))
     assert found.rules == (rule("b"),)
+
+
+def test_a_grant_is_added_with_its_limits_and_domains():
+    limited = Criteria(topics=("m",), partitions=("p", "q"))
+    more = grant(
+        PermissionRule(
+            allow=True,
+            domains=ONE,
+            publish=(Criteria(topics=("b", "c")), limited),
+            subscribe=(Criteria(topics=("d",)),),
+            relay=(Criteria(topics=("e",)),),
+        )
+    )
+    found = add_grant(grant(rule("a"), rule("b", domains=ONE)), more)
+    assert found.rules == (
+        rule("a"),
+        PermissionRule(
+            allow=True,
+            domains=ONE,
+            publish=(Criteria(topics=("b", "c")), limited),
+            subscribe=(Criteria(topics=("d",)),),
+            relay=(Criteria(topics=("e",)),),
+        ),
+    )
+    assert add_grant(found, more) == found
+    turned = grant(rule("m", domains=ONE, partitions=("q", "p")))
+    assert add_grant(found, turned) == found
+    assert add_grant(grant(), grant()) == grant()
+
+
+def test_a_right_without_limits_does_not_count_for_one_with_them():
+    for limits in LIMITS:
+        found = add_grant(grant(rule("a")), grant(rule("a", **limits)))
+        assert found.rules[0].publish == (
+            Criteria(topics=("a",)),
+            Criteria(topics=("a",), **limits),
+        )
+
+
+def test_a_grant_that_denies_or_allows_by_default_is_not_added():
+    for more in (grant(rule("x", allow=False), rule("*")), grant(default=DefaultAction.ALLOW)):
+        with pytest.raises(UsageError, match="denies, or allows by default"):
+            add_grant(grant(rule("a")), more)
+    nothing = grant(PermissionRule.deny_all(ZERO))
+    assert add_grant(grant(rule("a")), nothing) == grant(rule("a"))
+
+
+def test_what_is_denied_is_not_added_by_a_grant():
+    denies = rule("secret*", allow=False)
+    for limits in ({}, *LIMITS):
+        with pytest.raises(UsageError, match="may not publish secret/x"):
+            add_grant(grant(denies, rule("a")), grant(rule("secret/x", **limits)))

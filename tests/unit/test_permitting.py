@@ -1,7 +1,6 @@
 """Rights changed in a keystore: all or none, and never over another command's change."""
 
 from datetime import UTC, datetime, timedelta
-from functools import partial
 
 import pytest
 
@@ -43,7 +42,9 @@ def keystore(tmp_path):
 
 
 def changes(keystore, topic, *names):
-    edit = partial(add_rights, rights=TopicRights(publish=(topic,)), domains=ZERO)
+    def edit(_, grant):
+        return add_rights(grant, TopicRights(publish=(topic,)), ZERO)
+
     return changed_permissions(keystore, names, edit, now=NOW)
 
 
