@@ -70,16 +70,20 @@ class Server:
     def __init__(self, folder, now, profile="pq", **settings):
         self.folder, self.port, self.status_port = folder, free_port(), free_port()
         self.root, self.config = folder / "k", folder / "serve.yaml"
-        (folder / "domain.yaml").write_text(DOMAIN.format(profile=profile))
-        desired = read_domain(folder / "domain.yaml")
-        create_keystore(desired, self.root, passphrase=None, now=now)
-        self.cli("apply", "domain.yaml", "--yes", check=False)
+        self.create(profile, now)
         pairs = [certificate(kind, since=now) for kind in ("ml-dsa-65", "ecdsa-p256")]
         for number, (chain, key) in enumerate(pairs):
             (folder / f"{number}.pem").write_bytes(chain)
             (folder / f"{number}.key").write_bytes(key)
         self.configure(**settings)
         self.process = None
+
+    def create(self, profile, now):
+        """Make the domain and its keystore."""
+        (self.folder / "domain.yaml").write_text(DOMAIN.format(profile=profile))
+        desired = read_domain(self.folder / "domain.yaml")
+        create_keystore(desired, self.root, passphrase=None, now=now)
+        self.cli("apply", "domain.yaml", "--yes", check=False)
 
     def configure(self, **settings):
         value = {
@@ -152,6 +156,10 @@ class Server:
         with suppress(ProcessLookupError):
             self.process.send_signal(signal.SIGTERM)
         return self.process.wait(PATIENCE)
+
+    def reload(self):
+        """Have both processes read `serve.yaml` again."""
+        self.process.send_signal(signal.SIGHUP)
 
     def kill(self):
         """Kill both processes, as a power cut does."""
