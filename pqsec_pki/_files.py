@@ -11,6 +11,7 @@ import select
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
+from contextvars import ContextVar
 from io import FileIO
 from pathlib import Path
 
@@ -37,17 +38,41 @@ PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY
 
+FileVersion = tuple[int, ...]
+"""Inode, size and times of a file: another after it was changed. Empty if it is not there."""
+_seen: ContextVar[dict[Path, FileVersion] | None] = ContextVar("seen", default=None)
+
 
 def read(path: Path, *, limit: int = MAX_FILE) -> bytes:
     """The bytes of `path`; FileError if it cannot be read or is over `limit` bytes.
 
     A pipe is read to its end, and refused if it gets no writer within PIPE_PATIENCE.
     """
+    if (seen := _seen.get()) is not None:
+        seen.setdefault(path, file_version(path))  # before it is read: no change is missed
     try:
         with open(path, "rb", buffering=0, opener=_without_waiting) as file:
             return _all_of(file, path, limit)
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
+
+
+def file_version(path: Path) -> FileVersion:
+    """The version of the file at `path`."""
+    with suppress(OSError, ValueError):
+        found = path.stat()
+        return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
+    return ()
+
+
+@contextmanager
+def noted(seen: dict[Path, FileVersion]) -> Iterator[None]:
+    """Within it, `read` enters each file into `seen`, also one that cannot be read."""
+    token = _seen.set(seen)
+    try:
+        yield
+    finally:
+        _seen.reset(token)
 
 
 def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) -> bytes:

@@ -52,8 +52,8 @@ def serve(file: Path, url: str | None, part: str, passphrase_file: Path | None) 
     """Let robots enrol and renew over a network.
 
     It answers EST (RFC 7030) and requests of `pqsec enrol` with certificates and whole bundles,
-    over TLS 1.3 with X25519MLKEM768. Names and rights come from the domain file alone. It runs
-    until SIGTERM; SIGHUP makes it read FILE and the domain file again.
+    over TLS 1.3 with X25519MLKEM768. Names and rights come from the domain file alone, as it is
+    now. It runs until SIGTERM; SIGHUP makes it read FILE and its TLS certificates again.
     """
     if url is not None:
         made = begin_server(url, file, _settings.keystore_path(), now=_settings.now())

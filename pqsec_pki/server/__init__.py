@@ -5,7 +5,7 @@ a first one). The front answers HTTP: `listening.py`, `channel.py`, `front.py`, 
 `limiting.py`, `asking.py`, `sending.py` and `metrics.py`. The signer (`signer.py`) has the CA keys:
 it decides who is admitted (`admission.py`, `requester.py`, `token_lines.py`, `waiting.py`;
 `factories.py` for devices with a certificate of their factory) and answers from the keystore
-(`desk.py`).
+(`desk.py`); `list_keeping.py` keeps a revocation list in force.
 Between them are calls (`call.py`).
 """
 

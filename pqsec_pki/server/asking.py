@@ -39,6 +39,8 @@ class SignerCalls:
     def __init__(self, reactor: Any, socket: Path) -> None:
         self._reactor, self._socket = reactor, str(socket)
         self.open = self._octets = 0
+        self.trouble = ""
+        """What the signer said last about its configuration."""
         self._kept: OrderedDict[CallKind, tuple[float, SignerAnswer]] = OrderedDict()
 
     def ask(self, call: SignerCall, then: Then) -> None:
@@ -58,6 +60,7 @@ class SignerCalls:
         def finish(answer: SignerAnswer) -> None:
             self.open -= 1
             self._octets -= octets
+            self.trouble = answer.trouble
             if call.kind in _SHARED and answer.status == 200:  # noqa: PLR2004
                 self._kept[call.kind] = (self._reactor.seconds(), answer)
             then(answer)

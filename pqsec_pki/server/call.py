@@ -99,6 +99,8 @@ class SignerAnswer:
     """Of an answer that is an error: what is wrong, for the client."""
     note: str = ""
     """For the log: who got what, and by what."""
+    trouble: str = ""
+    """Of the signer: why its files are not in force; for the pages about its health."""
 
     def to_bytes(self) -> bytes:
         """The answer as octets."""
@@ -109,6 +111,7 @@ class SignerAnswer:
             "retry_after": self.retry_after,
             "detail": self.detail,
             "note": self.note,
+            "trouble": self.trouble,
         }
         return packed(header, self.body)
 

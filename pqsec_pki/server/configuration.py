@@ -110,6 +110,8 @@ class ServerSettings:
     renew_any_time: bool
     """Whether to renew certificates that are not due."""
     token_validity: timedelta
+    revocation_list: timedelta | None
+    """How long the revocation lists are valid that the server issues by itself; None for none."""
     limits: ServerLimits
 
     @property
@@ -148,6 +150,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "retry_seconds": _positive,
         "renew": partial(chosen, names=("due", "any-time")),
         "token_validity": duration,
+        "revocation_list": duration,
         "limits": _limits,
     }
     found = fields(item, readers, required=("url", "keystore", "domain", "tls"))
@@ -165,6 +168,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "factories": {},
         "approval": False,
         "token_validity": timedelta(days=7),
+        "revocation_list": None,
         "limits": ServerLimits(),
         **found,
     }

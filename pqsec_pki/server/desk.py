@@ -6,9 +6,8 @@ from what the keystore has then, so the answer to a repeated request is the same
 
 import hashlib
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import field
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path
@@ -40,6 +39,7 @@ from pqsec_pki.lifecycle import issue
 from pqsec_pki.server.admission import Admission
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.factories import Factory
+from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.waiting import WaitingRoom
 
@@ -51,13 +51,19 @@ class Desk:
     keystore: Keystore
     authorities: Authorities
     desired: Desired
-    version: tuple[int, ...]
-    """Of the domain file, before it was read."""
     clock: Callable[[], datetime]
     any_time: bool = False
     waiting: WaitingRoom | None = None
     retry: int = 60
     factories: Mapping[str, Factory] = field(default_factory=dict)
+    list_validity: timedelta | None = None
+    """Of revocation lists that are issued by themselves; None for none."""
+
+    def keep_list(self) -> bool:
+        """Issue the revocation list that is needed; whether one was. Errors as of `renew_list`."""
+        if self.list_validity is None:
+            return False
+        return keep_list(self.keystore, self.authorities, self.list_validity, now=self.clock())
 
     def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         """The answer to each call; those that issue are one change of the keystore."""
@@ -199,14 +205,6 @@ class Desk:
     def _holder(self, call: SignerCall) -> Requester:
         with self.keystore.open_ledger() as ledger:
             return self._admission(ledger).holder_of(call)
-
-
-def file_version(path: Path) -> tuple[int, ...]:
-    """What is another after the file was changed; empty if it is not there."""
-    with suppress(OSError):
-        found = path.stat()
-        return found.st_ino, found.st_size, found.st_mtime_ns, found.st_ctime_ns
-    return ()
 
 
 def _decided(deciding: Admission, call: SignerCall) -> Admitted | SignerAnswer:

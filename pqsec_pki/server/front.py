@@ -54,6 +54,8 @@ class Front:
     counts: Counter[str] = field(default_factory=Counter)
     by_address: Rate = field(init=False)
     by_label: Rate = field(init=False)
+    trouble: str = ""
+    """Why this process does not use what `serve.yaml` says now; empty if it does."""
     known: RecentKeys = field(default_factory=RecentKeys)
     """Addresses from which somebody showed a credential that the signer accepted."""
 
@@ -65,6 +67,11 @@ class Front:
         self.limits = limits
         self.by_address = Rate(limits.requests_of_address)
         self.by_label = Rate(limits.requests_of_label)
+
+    @property
+    def troubles(self) -> list[str]:
+        """Why each process does not use its configuration as it is in the files."""
+        return [each for each in (self.trouble, self.calls.trouble) if each]
 
     def count(self, what: str) -> None:
         """Count an event, for the metrics."""

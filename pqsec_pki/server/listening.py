@@ -83,8 +83,10 @@ class Listening:
             found = read_settings(self._settings.path)
             context = tls_context(found)
         except PqsecError as error:
+            self.front.trouble = f"the configuration is not changed: {error}"
             _log({"event": "the configuration is not changed", "detail": str(error)})
             return
+        self.front.trouble = ""
         self._context, self._settings = context, found
         self.front.use(found.limits)
         self._channels.seconds = found.limits.seconds

@@ -10,7 +10,11 @@ _OPENMETRICS = "text/plain; version=0.0.4; charset=utf-8"
 
 
 class StatusRequest(Request):
-    """`/healthz`: this process runs. `/readyz`: the signer answers. `/metrics`: counts."""
+    """`/healthz`: this process runs. `/readyz`: the signer answers. `/metrics`: counts.
+
+    Files that were changed and cannot be used, so that the old ones are in force, are told by the
+    last two: the server answers as before.
+    """
 
     def process(self) -> None:
         """Answer it."""
@@ -27,7 +31,9 @@ class StatusRequest(Request):
 
     def _ready(self, answer: SignerAnswer) -> None:
         if not self._disconnected:
-            self.reply(answer.status, answer.body or f"{answer.detail}\n".encode())
+            words = answer.body.decode() or f"{answer.detail}\n"
+            said = "".join(f"{each}\n" for each in self.channel.factory.front.troubles)
+            self.reply(answer.status, f"{words}{said}".encode())
 
     def reply(self, status: int, body: bytes) -> None:
         """Write an answer."""
@@ -61,6 +67,8 @@ class StatusPages(HTTPFactory):
             f"pqsec_serve_connections {self._connections.total}",
             "# TYPE pqsec_serve_waiting_calls gauge",
             f"pqsec_serve_waiting_calls {self.front.calls.open}",
+            "# TYPE pqsec_serve_configuration_in_force gauge",
+            f"pqsec_serve_configuration_in_force {int(not self.front.troubles)}",
             "# TYPE pqsec_serve_events_total counter",
         ]
         lines += [

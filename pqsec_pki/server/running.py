@@ -14,13 +14,14 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from pathlib import Path
 
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import FileVersion, disk_errors, noted
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.server.configuration import ServerSettings, read_settings
-from pqsec_pki.server.desk import Desk, file_version
+from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.factories import read_factories
 from pqsec_pki.server.signer import SignerProcess, listening, users_of
 
@@ -50,27 +51,29 @@ def run_signer(
     keystore = Keystore.open(settings.keystore, to_change=True)
     authorities = unlock(keystore)
 
-    def load() -> Desk:
+    def load(seen: dict[Path, FileVersion]) -> Desk:
         found = read_settings(settings.path)
-        version = file_version(found.domain)
         opened = Keystore.open(settings.keystore, to_change=True)
+        cas = opened.anchors.identity_cas
+        with noted(seen):
+            desired, factories = read_domain(found.domain), read_factories(found.factories, cas)
         return Desk(
             keystore=opened,
             authorities=authorities,
-            desired=read_domain(found.domain),
-            version=version,
+            desired=desired,
             clock=clock,
             any_time=found.renew_any_time,
             waiting=found.room if found.approval else None,
             retry=found.retry,
-            factories=read_factories(found.factories, opened.anchors.identity_cas),
+            factories=factories,
+            list_validity=found.revocation_list,
         )
 
     make_state(settings)
     stay()
     listener = listening(settings.socket, bool(settings.front_user))
     with listener:
-        SignerProcess(listener, load, load(), users_of(settings.front_user), log, pass_on).run()
+        SignerProcess(listener, load, users_of(settings.front_user), log, pass_on).run()
     with suppress(OSError):
         settings.socket.unlink()
 

@@ -13,14 +13,15 @@ import time
 import traceback
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from dataclasses import field, replace
 from pathlib import Path
 from types import FrameType
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import FileVersion, disk_errors, file_version
 from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
 from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
-from pqsec_pki.server.desk import Desk, file_version
+from pqsec_pki.server.desk import Desk
 
 MOST = 64
 """Calls that are answered together: the last one waits for all of them."""
@@ -29,6 +30,7 @@ SECONDS = 5.0
 _BACKLOG = 1024
 _PEER = struct.Struct("iII")
 _POLL = 0.5
+_LIST_POLL = 600.0
 _FAILED = "the server could not do it: its log says why"
 
 
@@ -37,18 +39,25 @@ class SignerProcess:
     """Answers calls until it is stopped."""
 
     listener: socket.socket
-    load: Callable[[], Desk]
-    """Reads the configuration again; raises if it has a mistake."""
-    desk: Desk
+    load: Callable[[dict[Path, FileVersion]], Desk]
+    """Reads the configuration, and enters what it read; raises if there is a mistake."""
     users: frozenset[int]
     """Who may connect."""
     log: Callable[[str], None]
     pass_on: Callable[[], None]
     """Tells the front to read the configuration again too."""
-    tried: tuple[int, ...] = ()
-    """The version of the domain file that was read last; it may have a mistake."""
+    desk: Desk = field(init=False)
+    trouble: str = ""
+    """Why files that were changed are not in force; empty if they are."""
     stopping: bool = False
     reloading: bool = False
+    _list_after: float = 0.0
+    """When the revocation list is looked at next."""
+    _read: dict[Path, FileVersion] = field(default_factory=dict)
+    """What the domain and its factories were read from last, or could not be read from."""
+
+    def __post_init__(self) -> None:
+        self.desk = self.load(self._read)
 
     def run(self) -> None:
         """Answer calls until SIGTERM; SIGHUP reads the configuration again."""
@@ -60,10 +69,12 @@ class SignerProcess:
         while not self.stopping:
             if self.reloading:
                 self.reloading = False
-                self._load()
-            if links := self._arrived():
-                self._follow()
-                self._serve(links)
+                self.pass_on()
+                self._load("the configuration")
+            self._keep_list()
+            links = self._arrived()
+            self._follow()
+            self._serve(links)
 
     def _stop(self, _number: int, _frame: FrameType | None) -> None:
         self.stopping = True
@@ -72,20 +83,34 @@ class SignerProcess:
         self.reloading = True
 
     def _follow(self) -> None:
-        """Read a domain file that was changed: rights that it takes must not come back."""
-        found = file_version(self.desk.desired.path)
-        if found not in {self.desk.version, self.tried}:
-            self.tried = found
-            self._load()
+        """Read files again that were changed: rights that they take must not come back."""
+        changed = [path for path, known in self._read.items() if file_version(path) != known]
+        if changed:
+            self._load(", ".join(str(each) for each in changed))
 
-    def _load(self) -> None:
-        """Use the new configuration; the old one stays if that has a mistake."""
-        self.pass_on()
+    def _keep_list(self) -> None:
+        """Issue the revocation list that is needed, before the first call and from time to time."""
+        if time.monotonic() < self._list_after:
+            return
+        self._list_after = time.monotonic() + _LIST_POLL
         try:
-            self.desk = self.load()
-            self.log("the configuration was read again")
+            if self.desk.keep_list():
+                self.log("a revocation list was issued")
         except PqsecError as error:
-            self.log(f"the configuration is not changed: {error}")
+            self.log(f"no revocation list could be issued: {error}")
+
+    def _load(self, what: str) -> None:
+        """Use what is in the files now; if that has a mistake, what was in them stays in force."""
+        seen: dict[Path, FileVersion] = {}
+        try:
+            self.desk = self.load(seen)
+            self.trouble = ""
+            self.log(f"{what} was read again")
+        except PqsecError as error:
+            self.trouble = f"{what} is not changed: {error}"
+            self.log(self.trouble)
+        self._read = seen or self._read
+        self._list_after = 0.0
 
     def _arrived(self) -> list[socket.socket]:
         """The connections that wait, after the first one came."""
@@ -100,12 +125,14 @@ class SignerProcess:
 
     def _serve(self, links: Sequence[socket.socket]) -> None:
         asked = [(link, call) for link in links if (call := self._call(link))]
+        if not asked:
+            return
         for (link, _), answer in zip(
             asked, self._answers([each for _, each in asked]), strict=True
         ):
             with suppress(OSError), link:
                 link.settimeout(SECONDS)
-                link.sendall(answer.to_bytes())
+                link.sendall(replace(answer, trouble=self.trouble).to_bytes())
 
     def _answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         try:

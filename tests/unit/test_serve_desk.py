@@ -11,7 +11,7 @@ def test_a_batch_with_a_replacement_replaces_nobody_else(tmp_path):
     """A name with files and without a token that replaces it lost its key beside another's."""
     keystore = made(tmp_path / "k", "classical")
     before = {name: keystore.participant(name).certificate for name in ("/talker", "/listener")}
-    desk = Desk(keystore, keystore.unlock(None), None, (), lambda: NOW + DAY)
+    desk = Desk(keystore, keystore.unlock(None), None, lambda: NOW + DAY)
     batch = [
         Admitted(
             name=name,
