@@ -8,9 +8,9 @@ to find changes for single stacks.
 """
 
 from collections.abc import Iterator
-from datetime import datetime
 from itertools import product
 
+from pqsec_pki._times import exact
 from pqsec_pki.access._rights import Rights, Whole, World, wholes
 from pqsec_pki.access._stack_diff import StackChange, stack_changes
 from pqsec_pki.access._topics import Topics, Universe
@@ -165,7 +165,7 @@ def _validity_changes(old: Grant, new: Grant) -> Iterator[Change]:
             yield Change(
                 sense=Sense.GRANTED if longer else Sense.TAKEN,
                 subject=new.subject_name,
-                text=f"validity {verb} {_time_text(after)} instead of {_time_text(before)}",
+                text=f"validity {verb} {exact(after)} instead of {exact(before)}",
             )
 
 
@@ -186,7 +186,3 @@ def _reshaped(old: Grant, new: Grant, action: Action, topics: Universe) -> Itera
 def _patterns(grant: Grant, action: Action) -> set[str]:
     criteria = (each for rule in grant.rules if rule.allow for each in getattr(rule, action.value))
     return {topic for each in criteria for topic in each.topics}
-
-
-def _time_text(time: datetime) -> str:
-    return f"{time:%Y-%m-%d %H:%M:%S} UTC"

@@ -6,6 +6,7 @@ from functools import cached_property
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.approvals._canonical import (
     boolean,
     canonical,
@@ -151,7 +152,7 @@ class PlanProposal:
         """VerificationError if it is too late for it."""
         if now >= self.expires:
             raise VerificationError(
-                f"the plan expired on {self.expires:%Y-%m-%d %H:%M} UTC",
+                f"the plan expired on {said(self.expires)}",
                 code=Code.EXPIRED,
                 hint="make a new one: `pqsec plan` with -o",
             )

@@ -14,6 +14,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import PrivateKey, PublicKey, load_public_key
 from pqsec_pki.approvals._canonical import (
     canonical,
@@ -121,7 +122,7 @@ class RegistrationGrant:
         days = self.longest / timedelta(days=1)
         return (
             f"{self.most} of {', '.join(self.names)} as {', '.join(self.roles)}, for {days:g} days"
-            f" at most, until {self.ends:%Y-%m-%d %H:%M} UTC"
+            f" at most, until {said(self.ends)}"
         )
 
 

@@ -29,6 +29,7 @@ from pqsec_pki._asn1 import (
     time_of,
 )
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import _alternative
 from pqsec_pki.certificates.certificate import Certificate
@@ -131,12 +132,12 @@ def cut(end: datetime, authority: Certificate, now: datetime) -> datetime:
     """`end`, or the end of `authority` if earlier; PqsecError if that is not valid at `now`."""
     if end <= authority.not_before:
         raise PqsecError(
-            f"the identity CA begins on {authority.not_before:%Y-%m-%d}: it is not yet valid",
+            f"the identity CA begins on {said(authority.not_before)}: it is not yet valid",
             hint="set the clock to the correct time",
         )
     if authority.not_after <= now:
         raise PqsecError(
-            f"the identity CA expired on {authority.not_after:%Y-%m-%d}",
+            f"the identity CA expired on {said(authority.not_after)}",
             hint="create new CAs with `pqsec ca rotate`, or set the clock to the correct time",
         )
     return min(end, authority.not_after)

@@ -12,6 +12,7 @@ from functools import lru_cache
 from cryptography import x509
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import exact
 from pqsec_pki.algorithms import broken_digest
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
@@ -163,10 +164,8 @@ def _critical_problems(certificate: Certificate, who: object) -> Iterator[Proble
 def _validity_problems(certificate: Certificate, who: object, now: datetime) -> Iterator[Problem]:
     if now < certificate.not_before:
         yield Problem(
-            f"{who} is not valid before {certificate.not_before:%Y-%m-%d %H:%M:%S} UTC",
+            f"{who} is not valid before {exact(certificate.not_before)}",
             Code.NOT_YET_VALID,
         )
     if now > certificate.not_after:
-        yield Problem(
-            f"{who} expired on {certificate.not_after:%Y-%m-%d %H:%M:%S} UTC", Code.EXPIRED
-        )
+        yield Problem(f"{who} expired on {exact(certificate.not_after)}", Code.EXPIRED)

@@ -14,6 +14,7 @@ from cryptography import x509
 
 from pqsec_pki._asn1 import Signed, TBSCertList, decode, encode, moment_of, plain_words, whole_bytes
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import first_pem, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
@@ -143,7 +144,7 @@ def verify_not_revoked(
     entry = revoked.revocation_of(certificate)
     if entry:
         reason = f" ({entry.reason})" if entry.reason else ""
-        when = f"{entry.revoked_at:%Y-%m-%d}"
+        when = said(entry.revoked_at)
         who = certificate.subject_name
         problems.append(
             Problem(f"the certificate of {who} was revoked on {when}{reason}", Code.REVOKED)
@@ -168,13 +169,11 @@ def _currency_problems(crl: RevocationList, now: datetime) -> Iterator[Problem]:
     # RFC 5280 6.3.3 (a): the list is current
     if now < crl.this_update:
         yield Problem(
-            f"the revocation list is not in force before {crl.this_update:%Y-%m-%d %H:%M} UTC",
+            f"the revocation list is not in force before {said(crl.this_update)}",
             Code.LIST_NOT_YET_VALID,
         )
     if crl.next_update and now > crl.next_update:
-        yield Problem(
-            f"the revocation list ended on {crl.next_update:%Y-%m-%d %H:%M} UTC", Code.LIST_EXPIRED
-        )
+        yield Problem(f"the revocation list ended on {said(crl.next_update)}", Code.LIST_EXPIRED)
 
 
 def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:

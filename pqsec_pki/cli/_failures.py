@@ -6,7 +6,7 @@ import sys
 import click
 
 from pqsec_pki.cli._colour import on_terminal, painted
-from pqsec_pki.cli._printing import JSON_VERSION, printable
+from pqsec_pki.cli._printing import JSON_VERSION, for_people
 from pqsec_pki.cli._settings import CommandSettings
 from pqsec_pki.errors import InvalidDocumentError, PqsecError, VerificationError
 from pqsec_pki.problems import Problem
@@ -51,7 +51,7 @@ def print_messages(*messages: str, hint: str | None = None) -> None:
 
 
 def _say(kind: str, text: str) -> None:
-    line = f"pqsec: {kind}: {printable(text)}"
+    line = f"pqsec: {kind}: {for_people(text)}"
     click.echo(painted(line) if on_terminal(sys.stderr) else line, err=True)
 
 

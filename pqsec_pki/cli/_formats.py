@@ -9,6 +9,7 @@ from io import StringIO
 import click
 
 from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli._times import for_programs
 from pqsec_pki.errors import UsageError
 
 TABLE, JSON, CSV = "table", "json", "csv"
@@ -82,7 +83,7 @@ def _row(cells: Iterable[str]) -> str:
 
 def _cell(value: object) -> str:
     text = _text(value)
-    return _printing.printable(f"'{text}" if text.startswith(_FORMULA) else text)
+    return for_programs(_printing.printable(f"'{text}" if text.startswith(_FORMULA) else text))
 
 
 def _text(value: object) -> str:

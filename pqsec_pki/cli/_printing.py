@@ -15,6 +15,7 @@ import click
 
 from pqsec_pki.cli._colour import on_terminal, painted
 from pqsec_pki.cli._settings import settings
+from pqsec_pki.cli._times import for_programs, local
 from pqsec_pki.errors import FileError, shown
 
 JSON_VERSION = 1
@@ -31,7 +32,8 @@ def emit(
 ) -> None:
     """Print `value` as JSON with --json, else `lines`. FileError on a full disk.
 
-    Control characters are escaped, except in the lines of a document (`verbatim`).
+    Control characters are escaped and times are in the zone of the reader, except in the lines of
+    a document (`verbatim`).
     """
     if settings().json:
         text = as_json(value or {})
@@ -43,13 +45,14 @@ def emit(
 
 
 def _shown(line: str) -> str:
-    text = printable(line)
+    text = for_people(line)
     return painted(text) if on_terminal(sys.stdout) else text
 
 
 def as_json(value: Mapping[str, object]) -> str:
     """The result for a program, with the version of its format."""
-    return json.dumps({"version": JSON_VERSION, **value}, indent=2, default=_encoded)
+    text = json.dumps({"version": JSON_VERSION, **value}, indent=2, default=_encoded)
+    return for_programs(text)
 
 
 def _encoded(value: object) -> object:
@@ -94,8 +97,13 @@ def with_hint(hint: str) -> Iterator[None]:
 
 def note(text: str) -> None:
     """Print a note on stderr."""
-    line = f"pqsec: note: {printable(text)}"
+    line = f"pqsec: note: {for_people(text)}"
     click.echo(painted(line) if on_terminal(sys.stderr) else line, err=True)
+
+
+def for_people(text: str) -> str:
+    """`text` as a line for people: printable, with its times in their zone."""
+    return local(printable(text))
 
 
 def printable(text: str) -> str:
@@ -131,7 +139,7 @@ def table(headers: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str
 
     Then the cells of the widest column are wrapped between words: no name is cut.
     """
-    grid = [headers, *rows]
+    grid = [headers, *(tuple(map(local, row)) for row in rows)]
     widths = [max(map(len, cells)) for cells in zip(*grid, strict=True)]
     excess = sum(widths) + len(_GAP) * (len(widths) - 1) - _room()
     widest = widths.index(max(widths))

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki import _files
+from pqsec_pki._times import said
 from pqsec_pki.access import permissions_diff
 from pqsec_pki.approvals import ChangedRights
 from pqsec_pki.certificates import CertificateRequest
@@ -130,7 +131,7 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             if not chosen and not params["files"]:
                 raise UsageError("nothing to revoke")
             for each in revocable(keystore, chosen, certificates_in(params["files"]), now=now):
-                until = f"{each.ends:%Y-%m-%d}"
+                until = said(each.ends)
                 yield _change(each.name, f"revoked: serial number {each.serial}, until {until}")
         case "ca rotate":
             from pqsec_pki.cli.rotate import terms_of  # noqa: PLC0415 -- only here

@@ -3,6 +3,7 @@
 import os
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from math import isfinite
@@ -175,7 +176,7 @@ class Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer cli
 
 
 class When(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
-    """A date, a time (ISO 8601, UTC if it names no zone), or a duration from now or `ago`."""
+    """A date, a time (ISO 8601, local if it names no zone), or a duration from now or `ago`."""
 
     name = "when"
 
@@ -185,15 +186,11 @@ class When(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
     ) -> datetime:
-        """The time, aware. Raises click's error for anything else."""
+        """The time, in UTC. Raises click's error for anything else."""
         if isinstance(value, datetime):
             return value
-        try:
-            found = datetime.fromisoformat(str(value))
-        except ValueError:
-            pass
-        else:
-            return found if found.tzinfo else found.replace(tzinfo=UTC)
+        with suppress(ValueError, OverflowError):
+            return datetime.fromisoformat(str(value)).astimezone(UTC)
         try:
             length = Duration().convert(value, param, ctx)
             return now() - length if self._ago else now() + length

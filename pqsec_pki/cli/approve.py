@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
+from pqsec_pki._times import said
 from pqsec_pki.approvals import (
     MAX_PROPOSAL,
     Approval,
@@ -98,7 +99,7 @@ def _ask(proposal: PlanProposal, plan: Path, name: str) -> None:
 def lines(proposal: PlanProposal, plan: Path) -> Iterator[str]:
     """All that would be approved."""
     yield f"plan {proposal.digest}"
-    yield f"by {proposal.proposer}, until {proposal.expires:%Y-%m-%d %H:%M} UTC"
+    yield f"by {proposal.proposer}, until {said(proposal.expires)}"
     if proposal.domain_file:
         yield f"domain file: {proposal.domain_file}, {_state_of(proposal, plan)}"
     if proposal.only:

@@ -10,6 +10,7 @@ from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
+from pqsec_pki.cli._times import day
 from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
@@ -282,7 +283,7 @@ def _show(keystore: Keystore) -> None:
 
 def _ca_lines(role: str, ca: Certificate) -> Iterator[str]:
     yield f"{role:<14} {ca.subject_name}, {_algorithms(ca)}"
-    yield f"{'':<14} until {ca.not_after:%Y-%m-%d}, SHA-256 {ca.fingerprint}"
+    yield f"{'':<14} until {day(ca.not_after)}, SHA-256 {ca.fingerprint}"
 
 
 def _described(profile: Profile) -> str:

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read, refuse_existing, write
+from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.enrolment import pins_in_use
@@ -106,7 +107,7 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     # The ledger first: a token that is only in the file would admit nobody.
     record_token(keystore, token, uses=uses, replaces=replaces, now=now)
     write(goal, token.to_bytes(), private=True)
-    line = f"{token.id}  {name}  until {token.not_after:%Y-%m-%d %H:%M} UTC  {goal}"
+    line = f"{token.id}  {name}  until {said(token.not_after)}  {goal}"
     value = {"id": token.id, "names": name, "uses": uses, "file": goal}
     _printing.emit({**value, "not_after": token.not_after}, [line])
 
@@ -167,11 +168,11 @@ def _print(tokens: list[TokenState]) -> None:
             each.id,
             each.names,
             f"{each.used} of {each.uses}",
-            f"{each.not_after:%Y-%m-%d %H:%M}",
+            said(each.not_after),
             each.end(now) or "open",
         )
         for each in tokens
     ]
-    lines = _printing.table(("ID", "NAMES", "USED", "UNTIL (UTC)", "STATE"), rows) if rows else []
+    lines = _printing.table(("ID", "NAMES", "USED", "UNTIL", "STATE"), rows) if rows else []
     value = {"tokens": [each.to_json(now) for each in tokens]}
     _printing.emit(value, lines or ["no tokens: `pqsec enrolment-token create` makes one"])

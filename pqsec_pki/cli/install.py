@@ -5,8 +5,10 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._times import said
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
+from pqsec_pki.cli._times import day
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
 from pqsec_pki.enrolment import pins_of, removed_alone
@@ -98,7 +100,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         pin=_passphrases.pin,
     )
     word = "was already installed" if done.already else "installed"
-    until = f"until {done.not_after:%Y-%m-%d}"
+    until = f"until {day(done.not_after)}"
     _printing.emit(done.to_json(), [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 
@@ -135,6 +137,4 @@ def rollback(folder: Path, *, older: bool) -> None:
     """
     earlier = roll_back(folder, now=_settings.now(), older=older, pin=_passphrases.pin)
     value = {"current": earlier.path, "installed_at": earlier.at}
-    _printing.emit(
-        value, [f"restored the set that was installed {earlier.at:%Y-%m-%d %H:%M} UTC  {folder}"]
-    )
+    _printing.emit(value, [f"restored the set that was installed {said(earlier.at)}  {folder}"])

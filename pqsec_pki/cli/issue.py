@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki import enrolment
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.approvals import Covered
 from pqsec_pki.cli import (
@@ -295,7 +296,7 @@ def print_issued(
     """Print one line for each issued participant, with the path of its folder or bundle."""
     if issued and issued[0].shortened:
         end = issued[0].not_after
-        _printing.note(f"valid only until {end:%Y-%m-%d}, when the identity CA expires")
+        _printing.note(f"valid only until {said(end)}, when the identity CA expires")
     found = bundles or issued
     value = {"keystore": keystore.root, "issued": found}
     _printing.emit(value, ["  ".join(each.row) for each in found])

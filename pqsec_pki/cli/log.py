@@ -2,15 +2,18 @@
 
 import re
 from collections.abc import Iterable
+from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
 import click
 
+from pqsec_pki._times import said
 from pqsec_pki.cli import _completion, _formats, _help, _passphrases, _printing, _settings
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
 from pqsec_pki.keystore import (
     PERMITTED,
+    Entry,
     Keystore,
     Line,
     SigningCa,
@@ -218,9 +221,20 @@ def _row(line: Line) -> tuple[str, ...]:
         details.append("by permit")
     what = f"{entry.kind} ({', '.join(details)})" if details else entry.kind
     last = entry.serial or entry.sha256[:16]
-    return (str(line.number), entry.at[:16], entry.operator or "-", what, entry.name or "-", last)
+    return (str(line.number), _when(entry), entry.operator or "-", what, entry.name or "-", last)
+
+
+def _when(entry: Entry) -> str:
+    """For people; of a damaged line what it has."""
+    try:
+        return said(entry.made_at)
+    except KeystoreError:
+        return entry.at[:16]
 
 
 def _short(value: str) -> str:
-    """The first 16 digits of a hash; anything else unchanged."""
+    """The first 16 digits of a hash, and a time for people; anything else unchanged."""
+    if value.endswith("+00:00"):
+        with suppress(ValueError):
+            return said(datetime.fromisoformat(value))
     return value[:16] if len(value) == _SHA256 else value

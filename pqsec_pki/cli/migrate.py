@@ -120,7 +120,7 @@ def _plan_lines(plan: MigrationPlan, now: datetime) -> Iterator[str]:
     yield "Dates:"
     for each in plan.deadlines:
         passed = " (passed)" if each.day < now.date() else ""
-        yield f"  {each.day:%Y-%m-%d}{passed}  {each.what}"
+        yield f"  {each.day}{passed}  {each.what}"
         yield f"              {each.source}"
 
 

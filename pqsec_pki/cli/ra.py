@@ -9,6 +9,7 @@ from pqsec_pki import _files
 from pqsec_pki.algorithms import PublicKey, load_public_key, unpem
 from pqsec_pki.approvals import Covered, RegistrationGrant
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._times import day
 from pqsec_pki.cli.plan import DEFAULT_FILE
 from pqsec_pki.domain import Desired, read_domain, role_value
 from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, located, meant
@@ -246,7 +247,7 @@ def _roles(desired: Desired, names: tuple[str, ...]) -> dict[str, object]:
 def _row(each: Registration, now: datetime) -> tuple[str, ...]:
     grant = each.grant
     return (
-        *(grant.authority, each.state(now), f"{grant.ends:%Y-%m-%d}", str(each.used)),
+        *(grant.authority, each.state(now), day(grant.ends), str(each.used)),
         *(str(grant.most), " ".join(grant.names), " ".join(grant.roles)),
         f"{grant.longest / timedelta(days=1):g}d",
     )

@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._times import said
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.enrolment import ImportedReceipt, import_receipts
 
@@ -53,5 +54,5 @@ def _line(each: ImportedReceipt) -> str:
     receipt = each.receipt
     number = "without a number" if receipt.bundle is None else receipt.bundle
     word = "was recorded before" if each.already else "recorded"
-    installed = f"installed {receipt.installed_at:%Y-%m-%d %H:%M} UTC"
+    installed = f"installed {said(receipt.installed_at)}"
     return f"{receipt.participant}  {word}: bundle {number}, {installed}  {each.path}"

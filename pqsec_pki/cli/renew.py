@@ -5,6 +5,7 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._times import said
 from pqsec_pki.cli import (
     _bundles,
     _completion,
@@ -174,10 +175,10 @@ def needs_renewal(names: tuple[str, ...], due: timedelta | None, form: str) -> N
     names = tuple(named(keystore, names))
     standing = status_of(keystore, names or None, now=_settings.now(), due=due)
     found = [each for each in standing.participants if each.state.calls_for_renewal]
-    lines = [f"{each.name}  {each.state}, until {each.not_after:%Y-%m-%d %H:%M}" for each in found]
+    lines = [f"{each.name}  {each.state}, until {said(each.not_after)}" for each in found]
     terms = [] if names else [each for each in standing.shared if each.kind == "crl"]
     lists = [each for each in terms if each.state.calls_for_renewal]
-    lines += [f"revocation list  {each.state}, until {each.not_after:%Y-%m-%d}" for each in lists]
+    lines += [f"revocation list  {each.state}, until {said(each.not_after)}" for each in lists]
     participants = [
         {"name": each.name, "state": each.state, "not_after": each.not_after} for each in found
     ]

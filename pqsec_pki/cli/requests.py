@@ -4,6 +4,7 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._times import said
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.server import APPROVAL, REFUSAL, WaitingRequest, decide, read_settings
@@ -97,10 +98,7 @@ def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
 
 
 def _print(found: list[WaitingRequest], word: str) -> None:
-    rows = [
-        (each.name, each.sha256, each.address, f"{each.received:%Y-%m-%d %H:%M}", word)
-        for each in found
-    ]
-    heads = ("NAME", "SHA-256", "FROM", "RECEIVED (UTC)", "")
+    rows = [(each.name, each.sha256, each.address, said(each.received), word) for each in found]
+    heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "")
     lines = _printing.table(heads, rows) if rows else ["no request waits"]
     _printing.emit({"requests": [each.to_json() for each in found]}, lines)

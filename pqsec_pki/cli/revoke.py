@@ -13,6 +13,7 @@ from pqsec_pki.certificates import Certificate, Reason, RevocationList
 from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import named
+from pqsec_pki.cli._times import day
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.keystore import Entry, Keystore, SigningCa
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
@@ -139,7 +140,7 @@ def _ask(certificates: list[Entry]) -> None:
         lambda: _printing.emit(
             None,
             [
-                f"revoke: {each.name}  {each.serial}  until {each.ends:%Y-%m-%d}"
+                f"revoke: {each.name}  {each.serial}  until {day(each.ends)}"
                 for each in certificates
             ],
         ),
@@ -151,11 +152,11 @@ def _ask(certificates: list[Entry]) -> None:
 
 def list_line(keystore: Keystore, made: RevocationList) -> str:
     """The list as one line."""
-    due = f", next due by {made.next_update:%Y-%m-%d}" if made.next_update else ""
+    due = f", next due by {day(made.next_update)}" if made.next_update else ""
     what = _printing.counted(len(made.revoked), "certificate")
     return f"list {made.number}: {what}{due}  {keystore.revocation_list_path}"
 
 
 def _line(each: Revoked) -> str:
     word = "was already revoked," if each.before else "revoked"
-    return f"{each.name}  {each.serial}  {word} {each.since:%Y-%m-%d} ({each.reason})"
+    return f"{each.name}  {each.serial}  {word} {day(each.since)} ({each.reason})"

@@ -9,6 +9,7 @@ import click
 from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
 from pqsec_pki.cli._metrics import write_metrics
 from pqsec_pki.cli._names import named
+from pqsec_pki.cli._times import day
 from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import (
@@ -152,7 +153,7 @@ def _lines(
     yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
     for term in standing.shared:
         state = "" if term.state is State.VALID else f", {term.state}"
-        yield f"{_ROLES[term.kind]:<15}  until {term.not_after:%Y-%m-%d}{state}"
+        yield f"{_ROLES[term.kind]:<15}  until {day(term.not_after)}{state}"
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
     yield f"participants     {', '.join(counts) or nobody}"
     yield from more
@@ -163,7 +164,7 @@ def _lines(
             (*_HEADERS, *(_ROBOT_HEADERS if has_receipts else ())),
             (
                 (
-                    *(each.name, each.state, f"{each.not_after:%Y-%m-%d}"),
+                    *(each.name, each.state, day(each.not_after)),
                     *(each.profile or "-", each.domains or "-", each.serial),
                     *(_robot(robots[each.name]) if has_receipts else ()),
                 )

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import is_there, read
+from pqsec_pki._times import exact
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.credentials import (
@@ -172,5 +173,5 @@ def _print_signatures(
 
 def _line(found: FoundSignature) -> str:
     kind = "countersignature" if found.countersignature else "signature"
-    when = f", {found.signed_at.isoformat()}" if found.signed_at else ""
+    when = f", {exact(found.signed_at)}" if found.signed_at else ""
     return f"  good {kind}: {found.algorithm.name} ({found.algorithm.family.value}){when}"

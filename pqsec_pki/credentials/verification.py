@@ -10,6 +10,7 @@ from datetime import datetime
 from typing import TypeVar
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.access import SPEC, Action, Decision, Interpretation, Question, decide
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.certificates import Certificate, common_name
@@ -194,7 +195,7 @@ def grant_of(certificate: Certificate, permissions: Permissions, now: datetime) 
     if SPEC.in_force(grant, now):
         return grant
     code = Code.GRANT_EXPIRED if now > grant.not_after else Code.GRANT_NOT_YET_VALID
-    words = f"not valid now, but {grant.not_before:%Y-%m-%d} to {grant.not_after:%Y-%m-%d}"
+    words = f"not valid now, but {said(grant.not_before)} to {said(grant.not_after)}"
     raise VerificationError(Problem(words, code, PERMISSIONS))
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from datetime import datetime
 from typing import TYPE_CHECKING, TypeAlias
 
+from pqsec_pki._times import said
 from pqsec_pki.documents._schema import Kind, validate
 from pqsec_pki.documents.domains import DomainRange
 from pqsec_pki.errors import UsageError
@@ -138,6 +139,6 @@ def _escaped(value: str) -> str:
 def _time(value: datetime) -> str:
     if value.year > LAST_YEAR:
         raise UsageError(
-            f"{value:%Y-%m-%d} is too late: to Cyclone DDS, any time after {LAST_YEAR} is expired"
+            f"{said(value)} is too late: to Cyclone DDS, any time after {LAST_YEAR} is expired"
         )
     return f"{value.replace(tzinfo=None).isoformat()}Z"

@@ -7,6 +7,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.domain._orders import order_at, steps_of
 from pqsec_pki.domain.desired import Member
@@ -164,7 +165,7 @@ class Reconciler:
         if self.ca_ends <= held.not_after:
             return ""  # no certificate outlives its CA
         word = "expired" if held.state is State.EXPIRED else "ends"
-        return f"{word} {held.not_after:%Y-%m-%d}"
+        return f"{word} {said(held.not_after)}"
 
     def _why_sign_permissions(self, member: Member, held: ParticipantState) -> str:
         if held.files is Files.OTHER_PERMISSIONS:

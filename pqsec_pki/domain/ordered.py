@@ -10,6 +10,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.approvals import EnrolmentOrder, OrderedName, RegistrationGrant
 from pqsec_pki.domain._role_values import role_in
 from pqsec_pki.domain.desired import Member
@@ -131,12 +132,10 @@ def _member(item: OrderedName, grant: RegistrationGrant) -> Member:
 def _refuse_late(order: EnrolmentOrder, found: Registration, now: datetime) -> None:
     found.refuse_ended(now)
     if now >= order.expires:
-        raise VerificationError(
-            f"the order expired on {order.expires:%Y-%m-%d %H:%M} UTC", code=Code.EXPIRED
-        )
+        raise VerificationError(f"the order expired on {said(order.expires)}", code=Code.EXPIRED)
     if order.at > now + _SKEW:
         raise VerificationError(
-            f"the order is of {order.at:%Y-%m-%d %H:%M} UTC, which is in the future",
+            f"the order is of {said(order.at)}, which is in the future",
             code=Code.NOT_YET_VALID,
             hint="correct the clock of the machine where it was made, or of this one",
         )

@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.approvals import ApprovalPolicy
 from pqsec_pki.domain._profile_change import is_wanted, plan_profile_change
@@ -223,4 +224,4 @@ class _Planner:
         crl = self.actual.revocation_list
         if included or crl is None or not crl.state.calls_for_renewal:
             return []
-        return [Step(StepAction.RENEW_CRL, "", f"ends {crl.not_after:%Y-%m-%d}")]
+        return [Step(StepAction.RENEW_CRL, "", f"ends {said(crl.not_after)}")]

@@ -12,6 +12,7 @@ from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
+from pqsec_pki._times import exact
 from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import VerificationError, located
@@ -127,7 +128,7 @@ class _Records:
     def problems(self, signed: SignedReceipt, now: datetime, *, older: bool) -> Iterator[Problem]:
         receipt, certificate = signed.receipt, signed.certificate
         keys = key_hashes(certificate.public_key, certificate.alternative_key).split()
-        made_at = f"{receipt.made_at:%Y-%m-%d %H:%M:%S} UTC"
+        made_at = exact(receipt.made_at)
         if self.issued.get(certificate.fingerprint) != receipt.participant:
             words = "this keystore did not issue the certificate that signed the receipt"
             yield Problem(words, Code.NOT_ISSUED)
@@ -143,7 +144,7 @@ class _Records:
             yield Problem(words, Code.NOT_YET_VALID)
         newest = self.newest.get(receipt.participant)
         if newest and receipt.made_at <= newest and not older:
-            words = f"made at {made_at}; one of {newest:%Y-%m-%d %H:%M:%S} UTC is recorded"
+            words = f"made at {made_at}; one of {exact(newest)} is recorded"
             yield Problem(words, Code.OLDER)
 
 

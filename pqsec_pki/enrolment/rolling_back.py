@@ -4,6 +4,7 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._times import said
 from pqsec_pki.credentials import PROOF, missing_proof
 from pqsec_pki.enrolment._installed_trust import credentials_in, raised, trust_state
 from pqsec_pki.enrolment.credential_store import InstalledSet, changing
@@ -27,7 +28,7 @@ def rollback(
         if current is None:
             raise KeystoreError(f"nothing is installed in {root}")
         if current.previous is None or not (current.path.parent / current.previous).is_dir():
-            raise KeystoreError(f"{root} has no set from before {current.at:%Y-%m-%d %H:%M} UTC")
+            raise KeystoreError(f"{root} has no set from before {said(current.at)}")
         earlier = store.set_named(current.previous)
         state = trust_state(store, current, needed=not older)
         if state and not older:

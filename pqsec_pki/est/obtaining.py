@@ -9,6 +9,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import CERTIFICATE, KEY, KEYS, PROOF
@@ -111,7 +112,7 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
     except VerificationError as error:
         if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
             error.hint = (
-                f"here it is {now:%Y-%m-%d %H:%M} UTC, at the server {answer.date:%Y-%m-%d %H:%M}:"
+                f"here it is {said(now)}, at the server {said(answer.date)}:"
                 " set the clock, and run the command again"
             )
         raise

@@ -2,10 +2,11 @@
 
 from datetime import datetime
 
+from pqsec_pki._times import exact
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Governance, Kind, Permissions, validate
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
-from pqsec_pki.inspection import _algorithms, _governance, _permissions, _times
+from pqsec_pki.inspection import _algorithms, _governance, _permissions
 from pqsec_pki.inspection.description import Description, Fact, Value
 from pqsec_pki.smime import CmsContent, ListedSigner, document_in, signers_in
 
@@ -58,7 +59,7 @@ def _signatures(listed: CmsContent) -> tuple[Fact, ...]:
 
 def _signer_words(signer: ListedSigner) -> list[str]:
     name = _algorithms.algorithm_name(_algorithms.oid_of(signer.identifier))
-    when = f", signing time {_times.moment(signer.signed_at)}" if signer.signed_at else ""
+    when = f", signing time {exact(signer.signed_at)}" if signer.signed_at else ""
     lines = [f"{name}, digest {signer.digest}{when}", f"by {_who(signer)}"]
     for counter in signer.countersigners:
         first, *rest = _signer_words(counter)

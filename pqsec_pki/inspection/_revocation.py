@@ -3,6 +3,7 @@
 import hashlib
 from datetime import datetime
 
+from pqsec_pki._times import exact
 from pqsec_pki.certificates import RevocationList, RevokedCertificate, name_text
 from pqsec_pki.inspection import _algorithms, _extensions, _times
 from pqsec_pki.inspection.description import Description, Fact, Value
@@ -38,12 +39,12 @@ def describe_list(der: bytes, now: datetime) -> Description:
 
 
 def _updates(crl: RevocationList, now: datetime) -> tuple[Fact, ...]:
-    made = Fact.of("issued", crl.this_update.isoformat(), _times.moment(crl.this_update))
+    made = Fact.of("issued", crl.this_update.isoformat(), exact(crl.this_update))
     if crl.next_update is None:
         return (made, Fact.of("next list", None, "not announced"))
     late = now - crl.next_update
     where = f"{_times.span(late)} ago: this one is out of date" if now > crl.next_update else ""
-    words = f"{_times.moment(crl.next_update)} ({where or f'in {_times.span(-late)}'})"
+    words = f"{exact(crl.next_update)} ({where or f'in {_times.span(-late)}'})"
     return (made, Fact.of("next list", crl.next_update.isoformat(), f"due {words}"))
 
 
@@ -71,4 +72,4 @@ def _revoked(entries: tuple[RevokedCertificate, ...]) -> Fact:
 
 def _entry_words(entry: RevokedCertificate) -> str:
     reason = f": {_REASONS.get(entry.reason, entry.reason)}" if entry.reason else ""
-    return f"serial {entry.serial_number:x} on {_times.moment(entry.revoked_at)}{reason}"
+    return f"serial {entry.serial_number:x} on {exact(entry.revoked_at)}{reason}"

@@ -2,6 +2,7 @@
 
 from datetime import datetime, timedelta
 
+from pqsec_pki._times import exact
 from pqsec_pki.inspection.description import Fact, Value
 
 _UNITS = (
@@ -9,11 +10,6 @@ _UNITS = (
     ("hour", timedelta(hours=1)),
     ("minute", timedelta(minutes=1)),
 )
-
-
-def moment(when: datetime) -> str:
-    """`when`, in UTC, for people."""
-    return f"{when:%Y-%m-%d %H:%M:%S} UTC"
 
 
 def span(length: timedelta) -> str:
@@ -38,7 +34,7 @@ def standing(not_before: datetime, not_after: datetime, now: datetime) -> str:
 def window(not_before: datetime, not_after: datetime, now: datetime) -> str:
     """The validity as one line of text."""
     where = standing(not_before, not_after, now)
-    return f"{moment(not_before)} to {moment(not_after)} ({where})"
+    return f"{exact(not_before)} to {exact(not_after)} ({where})"
 
 
 def window_value(not_before: datetime, not_after: datetime, now: datetime) -> dict[str, Value]:

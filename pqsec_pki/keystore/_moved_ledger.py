@@ -5,6 +5,7 @@ from datetime import datetime
 from itertools import zip_longest
 from typing import TYPE_CHECKING
 
+from pqsec_pki._times import said
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
@@ -36,7 +37,7 @@ def refuse_moved(store: "LedgerStore") -> None:
         last = ledger.numbers(KIND)
     if moved and last[moved[-1].sha256] == size and moved[-1].details.get("moved to") == _FILE:
         raise KeystoreError(
-            f"{store.place}: on {moved[-1].made_at:%Y-%m-%d} the ledger was moved to a file of one"
+            f"{store.place}: on {said(moved[-1].made_at)} the ledger was moved to a file of one"
             f" keystore, by {moved[-1].operator}",
             hint="work on that machine, or move it back there with `pqsec ledger move`",
         )

@@ -8,6 +8,7 @@ from typing import Self, TypeVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import (
     PrivateKey,
     Profile,
@@ -143,7 +144,7 @@ class Authorities:
             if now > end:
                 name = each.certificate.subject_name
                 raise KeystoreError(
-                    f"{name} expired on {end:%Y-%m-%d}: it can no longer sign",
+                    f"{name} expired on {said(end)}: it can no longer sign",
                     hint="replace the CAs with `pqsec ca rotate`, or correct the clock",
                 )
         return sign(

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import PublicKey
 from pqsec_pki.approvals import EnrolmentOrder, RegistrationGrant, SignedGrant
 from pqsec_pki.certificates import Certificate
@@ -72,13 +73,13 @@ class Registration:
             raise VerificationError(f"the grant of {grant.authority} was revoked")
         if now >= grant.ends:
             raise VerificationError(
-                f"the grant of {grant.authority} expired on {grant.ends:%Y-%m-%d %H:%M} UTC",
+                f"the grant of {grant.authority} expired on {said(grant.ends)}",
                 code=Code.EXPIRED,
                 hint="`pqsec ra add` makes another one",
             )
         if now < grant.begins:
             raise VerificationError(
-                f"the grant of {grant.authority} begins on {grant.begins:%Y-%m-%d %H:%M} UTC",
+                f"the grant of {grant.authority} begins on {said(grant.begins)}",
                 code=Code.NOT_YET_VALID,
             )
 

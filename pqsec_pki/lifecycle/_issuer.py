@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import PrivateKey, PublicKey
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Permissions
@@ -52,7 +53,7 @@ class Issued:
     @property
     def row(self) -> tuple[str, str, str]:
         """Name, end and place."""
-        return self.name, f"until {self.not_after:%Y-%m-%d}", str(self.folder)
+        return self.name, f"until {said(self.not_after)}", str(self.folder)
 
     def to_json(self) -> dict[str, object]:
         """The participant for --json."""

@@ -12,6 +12,7 @@ from datetime import datetime, timedelta
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki._processes import shared_out
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import BACKDATE, Certificate, end_of
@@ -185,7 +186,7 @@ def _moved(grant: Grant, old: Certificate, new: Certificate) -> Grant:
     end = new.not_after if grant.not_after >= old.not_after else grant.not_after
     if not max(begin, new.not_before) < end:
         raise KeystoreError(
-            f"the permissions of {grant.name} ended on {grant.not_after:%Y-%m-%d}",
+            f"the permissions of {grant.name} ended on {said(grant.not_after)}",
             hint="issue it again: pqsec issue --force, with its topics or a --policy",
         )
     return replace(

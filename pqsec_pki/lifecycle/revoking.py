@@ -9,6 +9,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.approvals import Covered
 from pqsec_pki.certificates import (
     Authority,
@@ -253,7 +254,7 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
 
 def _expired(subject: str, end: datetime) -> KeystoreError:
     return KeystoreError(
-        f"{subject} expired on {end:%Y-%m-%d}: no participant accepts it",
+        f"{subject} expired on {said(end)}: no participant accepts it",
         hint="there is nothing to revoke",
     )
 

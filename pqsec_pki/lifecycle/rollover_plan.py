@@ -11,6 +11,7 @@ from datetime import datetime
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki._processes import shared_out
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import BACKDATE, Certificate
 from pqsec_pki.documents import Permissions
@@ -152,7 +153,7 @@ class _Decider:
             return _Decision(f"its key is not here and {why}: it needs a new request")
         ended = _ended(self.inspector.signed_permissions(name, folder), certificate, self.now)
         if ended:
-            return _Decision(f"its permissions ended on {ended:%Y-%m-%d}")
+            return _Decision(f"its permissions ended on {said(ended)}")
         return _Decision(new_keys=has_key and (self.terms.rekey or bool(why)))
 
     def _why_new_keys(self, certificate: Certificate, profile: Profile) -> str:

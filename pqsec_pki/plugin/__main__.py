@@ -14,6 +14,7 @@ from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 
+from pqsec_pki._times import rfc3339
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.server import Agent
@@ -33,7 +34,7 @@ def _log(line: str) -> None:
         status = os.fstat(handle)
         if stat.S_ISREG(status.st_mode) and status.st_size > MAX_LOG:
             _halve(handle)
-        sys.stderr.write(f"{_now():%Y-%m-%dT%H:%M:%SZ} {line}\n")
+        sys.stderr.write(f"{rfc3339(_now())} {line}\n")
         sys.stderr.flush()
 
 

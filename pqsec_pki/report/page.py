@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import shown
 from pqsec_pki.keystore import InstallState, RobotState
@@ -164,10 +165,6 @@ def _visible(value: object) -> object:
     return value
 
 
-def _moment(value: datetime) -> str:
-    return f"{value:%Y-%m-%d %H:%M} UTC"
-
-
 @cache
 def _environment() -> "Environment":
     from jinja2 import (  # noqa: PLC0415 -- `pqsec --help` must not load it
@@ -185,7 +182,7 @@ def _environment() -> "Environment":
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["moment"] = _moment
+    environment.filters["moment"] = said
     environment.filters["day"] = "{:%Y-%m-%d}".format
     environment.tests["routine"] = is_routine
     environment.filters["ros"] = ros.said

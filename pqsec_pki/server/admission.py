@@ -12,6 +12,7 @@ from datetime import datetime
 from cryptography.x509.oid import NameOID
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.domain import Desired, Member
@@ -255,7 +256,7 @@ class Admission:
             raise NotAdmittedError(403, f"this is not the current certificate of {held.name}")
         if not (self.any_time or held.state.calls_for_renewal):
             raise NotAdmittedError(
-                403, f"its certificate is not due: it ends {held.not_after:%Y-%m-%d}"
+                403, f"its certificate is not due: it ends {said(held.not_after)}"
             )
 
 

@@ -18,6 +18,7 @@ from typing import Any
 from twisted.web.http import datetimeToString
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import rfc3339
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.est import (
@@ -180,7 +181,7 @@ class Exchange:
         """One line: never a secret, a token's text or the content of a request."""
         self.front.log(
             {
-                "at": datetime.now(UTC).isoformat(timespec="milliseconds"),
+                "at": rfc3339(datetime.now(UTC), timespec="milliseconds"),
                 "address": self.address,
                 "method": self.request.method[:16].decode("ascii", "replace"),
                 "path": self.request.path[:_LONGEST_SHOWN].decode("ascii", "replace"),

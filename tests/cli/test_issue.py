@@ -9,6 +9,7 @@ from hashlib import sha256
 
 import pytest
 
+from pqsec_pki._times import rfc3339
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.keystore import Keystore
 from tests.cli.conftest import NAMES, snapshot
@@ -473,11 +474,13 @@ def test_the_ledger_tells_serial_end_and_digest_of_the_files(pqsec, keystore):
     issued = pqsec(f"-k k issue /a {TOPIC} --json").done().json["issued"][0]
     leaf = certificate(k / "enclaves/a")
     signed = (k / "enclaves/a/permissions.p7s").read_bytes()
+    end = leaf.not_after.isoformat()
     assert ledger(k)[-2:] == [
-        ("participant", "/a", f"{leaf.serial_number:x}", leaf.fingerprint, issued["not_after"]),
+        ("participant", "/a", f"{leaf.serial_number:x}", leaf.fingerprint, end),
         ("permissions", "/a", None, sha256(signed).hexdigest(), None),
     ]
     assert issued["serial"] == f"{leaf.serial_number:x}"
+    assert issued["not_after"] == rfc3339(leaf.not_after)
     assert issued["permissions_bytes"] == len(signed)
     assert issued["certificate_bytes"] == (k / "enclaves/a/cert.pem").stat().st_size
     assert datetime.fromisoformat(issued["not_after"]) == leaf.not_after

@@ -82,7 +82,7 @@ def test_a_list_needs_the_passphrase(pqsec, locked):
 def test_renew_takes_names_or_due_or_all(pqsec, k):
     before = serial(pqsec, "/talker")
     done = pqsec("-k k renew talker").done()
-    assert re.fullmatch(r"/talker  until \d{4}-\d\d-\d\d  k/enclaves/talker\n", done.out)
+    assert re.fullmatch(r"/talker  until [-\d]+ [:\d]+ UTC  k/enclaves/talker\n", done.out)
     assert serial(pqsec, "/talker") != before
     assert pqsec("-k k renew --due").done().out == "nothing to renew\n"
     assert pqsec("-k k renew --due 30d --json").done().json["issued"] == []

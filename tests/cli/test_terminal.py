@@ -9,6 +9,7 @@ import struct
 import subprocess
 import sys
 import termios
+from datetime import datetime, timedelta
 
 import pytest
 
@@ -144,3 +145,19 @@ def test_a_code_says_which_error_it_is(pqsec):
 def test_a_wrong_command_line_is_json_too(pqsec, line):
     value = errors(pqsec(line), 2)
     assert "--help" in value["hint"]
+
+
+# Times
+
+
+def test_times_are_in_the_zone_of_the_reader_and_in_utc_for_programs(terminal, process, keystore):
+    keystore()
+    here = {"TZ": "IST-5:30"}
+    piped = process("-k k log", **here).done().out
+    assert terminal("-k k log", columns=500, **here) == piped
+    lines = process("-k k log --json").done().json["lines"]
+    assert process("-k k log --json", **here).done().json["lines"] == lines
+    assert all(each["at"].endswith("Z") for each in lines)
+    made = [datetime.fromisoformat(each["at"]) for each in lines]
+    in_india = [f"{at + timedelta(hours=5, minutes=30):%Y-%m-%d %H:%M} IST" for at in made]
+    assert re.findall(r"[0-9-]{10} [0-9:]{5} [A-Z]+", piped) == in_india

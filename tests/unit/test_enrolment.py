@@ -510,7 +510,7 @@ def test_permissions_that_end_before_the_certificate_are_refused_from_then_on(ke
     bundle = answered(keystore, asked_of(keystore, tmp_path), grants=(grant,))
     verify_bundle(bundle, bundle.roles, now=NOW + 9 * DAY)
     [only] = problems(bundle, bundle.roles, NOW + 11 * DAY)
-    assert "permissions.p7s: not valid now, but 2026-11-20 to 2026-12-01" in only
+    assert "not valid now, but 2026-11-20 12:00 UTC to 2026-12-01 12:00 UTC" in only
 
 
 def resigned(keystore, *, countersigner):

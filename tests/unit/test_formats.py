@@ -35,7 +35,7 @@ def test_values_are_written_as_json_has_them():
     assert read(True) == "true"  # noqa: FBT003 -- a cell
     assert read(7) == "7"
     assert read(Path("k/x")) == "k/x"
-    assert read(datetime(2026, 1, 2, tzinfo=UTC)) == "2026-01-02T00:00:00+00:00"
+    assert read(datetime(2026, 1, 2, tzinfo=UTC)) == "2026-01-02T00:00:00Z"
     assert read(("rt/a", "rt/b")) == "rt/a rt/b"
     assert read({"reason": "superseded"}) == '{"reason": "superseded"}'
 

@@ -36,7 +36,7 @@ def test_values_of_rooms_are_written_as_objects_without_what_their_repr_leaves_o
         "version": JSON_VERSION,
         "one": {"name": "a"},
         "all": [{"keys": [{"name": "a"}, {"name": "b"}]}],
-        "at": "2026-01-02T00:00:00+00:00",
+        "at": "2026-01-02T00:00:00Z",
         "path": "k/public",
         "names": ["/a"],
     }

@@ -67,7 +67,7 @@ def test_a_list_of_any_profile_takes_back_what_it_names_and_nothing_else(profile
     named = made(entry(1), entry(victim.serial_number, "keyCompromise"), profile=profile)
     with pytest.raises(VerificationError) as refusal:
         verify_not_revoked(victim, named, ca, **options)
-    words = "the certificate of CN=/talker was revoked on 2026-06-01 (keyCompromise)"
+    words = "the certificate of CN=/talker was revoked on 2026-06-01 12:00 UTC (keyCompromise)"
     assert refusal.value.lines == (words,)
 
 

@@ -234,7 +234,7 @@ def test_a_revoked_participant_does_not_start(tmp_path, profile):
     assert meeting(keystore).ok
     take_back(keystore, "/talker", reason=Reason.KEY_COMPROMISE)
     report = meeting(keystore)
-    words = "the certificate of CN=/talker was revoked on 2026-11-21 (keyCompromise)"
+    words = "the certificate of CN=/talker was revoked on 2026-11-21 12:00 UTC (keyCompromise)"
     assert (report.failed.name, report.failed.detail) == ("identity of /talker", words)
     assert "--after-revocation" in report.failed.hint
 

@@ -34,6 +34,7 @@ GROUND = {
     "_owners",
     "_packages",
     "_processes",
+    "_times",
     "_asn1",
 }
 ROOMS = sorted(path.parent.name for path in ROOT.glob("*/__init__.py"))

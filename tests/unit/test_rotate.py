@@ -8,6 +8,7 @@ from datetime import timedelta
 
 import pytest
 
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import PROFILES, load_private_key, profile_named
 from pqsec_pki.certificates import Reason, verify_chain
 from pqsec_pki.documents import DomainSet, Governance, Grant, Kind, Permissions
@@ -325,7 +326,7 @@ def test_whose_policy_has_ended_stays_behind_and_is_in_nobodys_way(keystore):
         issue(keystore, keystore.unlock(None), [spec], now=NOW)
     told = plan_rollover(keystore, Rollover(profile=keystore.profile), now=LATER).left_out
     done = rotated(keystore)
-    assert done.plan.left_out == told == {"/ended": f"its permissions ended on {end:%Y-%m-%d}"}
+    assert done.plan.left_out == told == {"/ended": f"its permissions ended on {said(end)}"}
     assert sorted(each.name for each in done.issued) == sorted([*TWO, "/goes/on"])
     setup = HandshakeSetup(keystore=done.keystore, domain=0, now=LATER)
     assert run_handshake(setup, HandshakeParty(name="/talker"), HandshakeParty(name="/goes/on")).ok

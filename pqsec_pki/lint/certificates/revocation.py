@@ -6,6 +6,7 @@ Each variant was measured in Cyclone DDS 0.10.2, 0.10.5 and 11.0.1 and Fast DDS 
 
 from collections.abc import Iterator
 
+from pqsec_pki._times import said
 from pqsec_pki.lint.certificates.validity import is_near
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
@@ -45,7 +46,7 @@ def unreadable(file: File) -> Iterator[Violation]:
 def expired(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     if revoked and revoked.next_update and file.now > revoked.next_update:
-        yield Violation(f"the revocation list expired on {revoked.next_update:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list expired on {said(revoked.next_update)}")
 
 
 @lint_rule(
@@ -65,7 +66,7 @@ def ends_soon(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     end = revoked.next_update if revoked else None
     if revoked and end and is_near(file.now, revoked.this_update, end):
-        yield Violation(f"the revocation list expires on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the revocation list expires on {said(end)}")
 
 
 @lint_rule(
@@ -85,9 +86,7 @@ def ends_soon(file: File) -> Iterator[Violation]:
 def not_yet(file: File) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     if revoked and file.now < revoked.this_update:
-        yield Violation(
-            f"the revocation list is valid from {revoked.this_update:%Y-%m-%d %H:%M} UTC"
-        )
+        yield Violation(f"the revocation list is valid from {said(revoked.this_update)}")
 
 
 @lint_rule(

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from pqsec_pki._times import said
 from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import key_of
@@ -96,5 +97,5 @@ def _revoked(inventory: Inventory) -> Iterator[Violation]:
         certificate = enclave.certificate()
         for _, revoked in enclave.revocation_lists if certificate else ():
             if certificate and (found := revoked.revocation_of(certificate)):
-                words = f"its certificate was revoked on {found.revoked_at:%Y-%m-%d}"
+                words = f"its certificate was revoked on {said(found.revoked_at)}"
                 yield Violation(words, path=enclave.folder)

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from datetime import datetime, timedelta
 
+from pqsec_pki._times import said
 from pqsec_pki.certificates import LAST_YEAR
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
@@ -30,7 +31,7 @@ SOON = timedelta(days=30)
 def expired(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.now > file.first.not_after:
         end = file.first.not_after
-        yield Violation(f"the certificate of the {file.role} expired on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the certificate of the {file.role} expired on {said(end)}")
 
 
 @lint_rule(
@@ -49,7 +50,7 @@ def expired(file: CertificateFile) -> Iterator[Violation]:
 def expires_soon(file: CertificateFile) -> Iterator[Violation]:
     if file.first and is_near(file.now, file.first.not_before, file.first.not_after):
         end = file.first.not_after
-        yield Violation(f"the certificate of the {file.role} expires on {end:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the certificate of the {file.role} expires on {said(end)}")
 
 
 @lint_rule(
@@ -72,7 +73,7 @@ def expires_soon(file: CertificateFile) -> Iterator[Violation]:
 def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
     if file.first and file.now < file.first.not_before:
         start = file.first.not_before
-        yield Violation(f"the {file.role}'s certificate is valid from {start:%Y-%m-%d %H:%M} UTC")
+        yield Violation(f"the {file.role}'s certificate is valid from {said(start)}")
 
 
 @lint_rule(

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from cryptography import x509
 
+from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY
 from pqsec_pki.errors import PqsecError
@@ -180,8 +181,8 @@ def ends_after_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     certificate, ca = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate and ca and certificate.not_after > ca.not_after:
         yield Violation(
-            f"the certificate ends on {certificate.not_after:%Y-%m-%d},"
-            f" after its CA on {ca.not_after:%Y-%m-%d}"
+            f"the certificate ends on {said(certificate.not_after)},"
+            f" after its CA on {said(ca.not_after)}"
         )
 
 

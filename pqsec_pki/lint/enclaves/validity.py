@@ -1,8 +1,9 @@
 """Rules about the validity of permissions: expired, soon expired, not yet valid, time zones."""
 
 from collections.abc import Iterator
-from datetime import datetime, timedelta
+from datetime import timedelta
 
+from pqsec_pki._times import said
 from pqsec_pki.documents import Grant
 from pqsec_pki.lint.certificates.validity import is_near
 from pqsec_pki.lint.document import PermissionsFile
@@ -29,7 +30,7 @@ _LOCAL = "Fast DDS 2.9.1, 3.1.2, 3.6.2, in the zone of Los Angeles"
 def expired(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if document.now > grant.not_after:
-            yield _found(document, grant, f"expired on {_day(grant.not_after)}")
+            yield _found(document, grant, f"expired on {said(grant.not_after)}")
 
 
 @lint_rule(
@@ -42,7 +43,7 @@ def expired(document: PermissionsFile) -> Iterator[Violation]:
 def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if is_near(document.now, grant.not_before, grant.not_after):
-            yield _found(document, grant, f"expires on {_day(grant.not_after)}")
+            yield _found(document, grant, f"expires on {said(grant.not_after)}")
 
 
 @lint_rule(
@@ -56,7 +57,7 @@ def expires_soon(document: PermissionsFile) -> Iterator[Violation]:
 def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     for grant in document.grants:
         if document.now < grant.not_before:
-            yield _found(document, grant, f"is valid from {_day(grant.not_before)}")
+            yield _found(document, grant, f"is valid from {said(grant.not_before)}")
 
 
 @lint_rule(
@@ -111,7 +112,7 @@ def permissions_end_first(enclave: EnclaveFolder) -> Iterator[Violation]:
     end = max(grant.not_after for grant in grants)
     if certificate.not_after - end > TOGETHER:
         days = (certificate.not_after - end).days
-        yield _of(enclave, f"ends {days} days before the certificate, on {_day(end)}")
+        yield _of(enclave, f"ends {days} days before the certificate, on {said(end)}")
 
 
 @lint_rule(
@@ -133,7 +134,7 @@ def permissions_end_last(enclave: EnclaveFolder) -> Iterator[Violation]:
     end = max(grant.not_after for grant in grants)
     if end - certificate.not_after > TOGETHER:
         days = (end - certificate.not_after).days
-        yield _of(enclave, f"ends {days} days after the certificate, on {_day(end)}")
+        yield _of(enclave, f"ends {days} days after the certificate, on {said(end)}")
 
 
 @lint_rule(
@@ -165,7 +166,3 @@ def _found(document: PermissionsFile, grant: Grant, words: str) -> Violation:
 def _of(enclave: EnclaveFolder, words: str) -> Violation:
     document = enclave.permissions()
     return Violation(f"the participant's grant {words}", path=document.path if document else None)
-
-
-def _day(time: datetime) -> str:
-    return f"{time:%Y-%m-%d %H:%M} UTC"

@@ -4,6 +4,7 @@ from collections.abc import Callable, Hashable, Iterator, Mapping
 from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
     ENCLAVES,
@@ -109,8 +110,8 @@ def old_list(inventory: Inventory) -> Iterator[Violation]:
         latest, other = newest.get(_root(enclave.folder), (None, enclave))
         own = _latest(enclave)
         if latest and (own is None or own < latest):
-            has = f"a revocation list of {own:%Y-%m-%d %H:%M}" if own else "no revocation list"
-            words = f"has {has}; {other.name} has one of {latest:%Y-%m-%d %H:%M} UTC"
+            has = f"a revocation list of {said(own)}" if own else "no revocation list"
+            words = f"has {has}; {other.name} has one of {said(latest)}"
             yield Violation(words, path=enclave.folder)
 
 
