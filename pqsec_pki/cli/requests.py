@@ -7,7 +7,14 @@ import click
 from pqsec_pki._times import said
 from pqsec_pki.cli import _help, _printing, _settings
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.server import APPROVAL, REFUSAL, WaitingRequest, decide, read_settings
+from pqsec_pki.server import (
+    APPROVAL,
+    REFUSAL,
+    WaitingRequest,
+    decide,
+    demanded,
+    read_settings,
+)
 
 _config = click.option(
     "--config",
@@ -66,7 +73,8 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
     """Approve requests. If the robot has a certificate for another key, it is replaced.
 
     SHA256 are 8 or more digits of the request's SHA-256. The ledger gets the decision, with who
-    made it.
+    made it. Where rights that grow need approvals, the requests are put where the domain file names
+    them, for `pqsec plan`, and the robots get what the approved plan issues.
     """
     _decide(ids, file, APPROVAL)
 
@@ -93,8 +101,13 @@ def refuse(ids: tuple[str, ...], file: Path) -> None:
 def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
     settings = read_settings(file)
     keystore = Keystore.open(settings.keystore, to_change=True)
-    done = decide(keystore, settings.room, ids, kind, now=_settings.now())
+    done = decide(keystore, settings, ids, kind, now=_settings.now())
     _print(done, "approved" if kind == APPROVAL else "refused")
+    if kind == APPROVAL and (words := demanded(keystore.approvals)):
+        _printing.note(
+            f"{words}: now `pqsec plan {settings.domain} -o plan.json --key KEY` (--new-keys, if a"
+            " robot has a certificate for another key)"
+        )
 
 
 def _print(found: list[WaitingRequest], word: str) -> None:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from pqsec_pki.domain.planning import plan
     from pqsec_pki.domain.proposing import PlanReview, propose, refuse_unapproved
     from pqsec_pki.domain.reading import desired_in, new_domain, read_domain
+    from pqsec_pki.domain.requests import deliver_request
     from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -57,6 +58,7 @@ __all__ = [
     "change_profile",
     "command_in",
     "create_keystore",
+    "deliver_request",
     "desired_in",
     "import_domain",
     "new_domain",

@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from pqsec_pki._files import read
+from pqsec_pki._files import disk_errors, read, write
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain.desired import Member
@@ -16,6 +16,7 @@ from pqsec_pki.errors import (
     FileError,
     KeystoreError,
     PqsecError,
+    UsageError,
     VerificationError,
     located,
     shown,
@@ -58,6 +59,22 @@ def asks_for_other_keys(member: Member, certified: str) -> bool:
         own = _requests(member).get(member.name, ())
         return any(key_hashes(each.public_key, each.alternative_key) != certified for each in own)
     return True
+
+
+def deliver_request(member: Member, request: CertificateRequest) -> None:
+    """Put the request where the domain file says, in place of an earlier one of that name.
+
+    UsageError if the file names none; FileError or MalformedError for what is there now.
+    """
+    path = member.request
+    if path is None or member.by_order:
+        raise UsageError(f"{member.source} has no `request` for {member.name}")
+    with located(path):
+        there = _requests(member) if is_there(member) else {}
+    kept = [each for name, found in there.items() if name != member.name for each in found]
+    with disk_errors(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+    write(path, b"".join(each.pem for each in [*kept, request]), force=True)
 
 
 def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:

@@ -79,6 +79,7 @@ if TYPE_CHECKING:
         approval_entries,
         lines_since,
         policy_entry,
+        policy_of,
     )
     from pqsec_pki.keystore.auditing import audit
     from pqsec_pki.keystore.authorities import (
@@ -214,6 +215,7 @@ __all__ = [
     "overview_of",
     "participant_states",
     "policy_entry",
+    "policy_of",
     "predates_approvals",
     "read_anchors",
     "refuse_overlap",

@@ -11,13 +11,20 @@ from datetime import datetime
 from pqsec_pki.approvals import Approval, ApprovalPolicy, PlanProposal
 from pqsec_pki.errors import KeystoreError, MalformedError
 from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore._ledger import Ledger
 
 POLICY, PLAN, APPROVAL = "approvals", "plan", "approval"
 """Kinds of lines."""
 _STATEMENT = "statement"
 
 
-def policy_in(entry: Entry) -> ApprovalPolicy | None:
+def policy_of(ledger: Ledger) -> ApprovalPolicy | None:
+    """The newest policy; None if changes need no approvals. KeystoreError if it is damaged."""
+    newest = ledger.newest(POLICY)
+    return _policy_in(newest[0]) if newest else None
+
+
+def _policy_in(entry: Entry) -> ApprovalPolicy | None:
     """The policy in a line of that kind; KeystoreError if that is damaged."""
     text = entry.details.get(_STATEMENT)
     if text == "":

@@ -293,12 +293,11 @@ class Keystore:
         KeystoreError if the line is damaged.
         """
         with self.open_ledger() as ledger:
-            newest = ledger.newest("approvals")
-        if not newest:
-            return None
-        from pqsec_pki.keystore.approving import policy_in  # noqa: PLC0415 -- few have some
+            if not ledger.newest("approvals"):
+                return None
+            from pqsec_pki.keystore.approving import policy_of  # noqa: PLC0415 -- few have some
 
-        return policy_in(newest[0])
+            return policy_of(ledger)
 
     def refuse_unapproved(self, *kinds: "Covered") -> None:
         """KeystoreError if changes of these kinds need approvals, and were not approved."""

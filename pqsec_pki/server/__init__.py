@@ -3,9 +3,10 @@
 Two processes, which `running.py` starts by `serve.yaml` (`configuration.py`; `beginning.py` writes
 a first one). The front answers HTTP: `listening.py`, `channel.py`, `front.py`, `routes.py`,
 `limiting.py`, `asking.py`, `sending.py` and `metrics.py`. The signer (`signer.py`) has the CA keys:
-it decides who is admitted (`admission.py`, `requester.py`, `token_lines.py`, `waiting.py`;
-`factories.py` for devices with a certificate of their factory) and answers from the keystore
-(`desk.py`); `list_keeping.py` keeps a revocation list in force.
+it decides who is admitted (`admission.py`, `requester.py`, `token_lines.py`; `waiting.py` and
+`deciding.py` for requests that wait; `factories.py` for devices with a certificate of their
+factory) and answers from the keystore (`desk.py`);
+`list_keeping.py` keeps a revocation list in force.
 Between them are calls (`call.py`).
 """
 
@@ -16,6 +17,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.server.beginning import begin_server
     from pqsec_pki.server.configuration import ServerSettings, read_settings
+    from pqsec_pki.server.deciding import APPROVAL, REFUSAL, decide, demanded
     from pqsec_pki.server.listening import run_front
     from pqsec_pki.server.running import run_both, run_signer
     from pqsec_pki.server.token_lines import (
@@ -24,7 +26,7 @@ if TYPE_CHECKING:
         revoke_tokens,
         token_states,
     )
-    from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRequest, decide
+    from pqsec_pki.server.waiting import WaitingRequest
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -36,6 +38,7 @@ __all__ = [
     "WaitingRequest",
     "begin_server",
     "decide",
+    "demanded",
     "read_settings",
     "record_token",
     "revoke_tokens",

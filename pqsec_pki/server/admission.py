@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Mapping
 from dataclasses import field, replace
 from datetime import datetime
+from functools import cached_property
 
 from cryptography.x509.oid import NameOID
 
@@ -24,9 +25,11 @@ from pqsec_pki.keystore import (
     ParticipantState,
     key_hashes,
     participant_states,
+    policy_of,
 )
 from pqsec_pki.lifecycle import PublicKeys
 from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.deciding import APPROVAL, REFUSAL, decision_on, demanded, is_late
 from pqsec_pki.server.factories import Factory, factory_of
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.token_lines import (
@@ -35,7 +38,7 @@ from pqsec_pki.server.token_lines import (
     by_token,
     presented,
 )
-from pqsec_pki.server.waiting import APPROVAL, REFUSAL, WaitingRoom, decision_on, is_late
+from pqsec_pki.server.waiting import WaitingRoom
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
@@ -46,7 +49,7 @@ _NEW_KEY = "make a new one for it"
 _NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # no slots, for cached properties
 class Admission:
     """Decides about requests, with the ledger as it is now."""
 
@@ -56,8 +59,10 @@ class Admission:
     now: datetime
     any_time: bool
     """Whether certificates are renewed that are not due."""
-    waiting: WaitingRoom | None = None
-    """Where requests without any credential wait; None if they are refused."""
+    waiting: WaitingRoom
+    """Where requests wait until somebody decides."""
+    anybody: bool = False
+    """Whether one without any credential waits; if not, it is refused."""
     retry: int = 60
     """Seconds until the client of such a request shall ask again."""
     taken: Counter[str] = field(default_factory=Counter)
@@ -78,7 +83,7 @@ class Admission:
         member = self._member(name, call.label)
         if holder.device:
             holder = self._identified(holder.device, member, request, call)
-        if self._was_answered(name, request, holder.by):
+        if self._was_answered(name, request, holder):
             return Admitted(name, holder.by)
         held = self._held(name)
         if member.by_order and held is None:
@@ -87,25 +92,33 @@ class Admission:
         hashes = key_hashes(keys.key, keys.alternative)
         self._refuse_used(holder, name)
         self._refuse_state(held, holder, hashes)
-        if holder.by == _APPROVED:
-            self._refuse_undecided(request, name, call)
+        planned = self._by_plan and request.fingerprint in self._requests_of(name)[-1:]
+        if holder.by == _APPROVED or (self._by_plan and not planned):
+            self._refuse_undecided(request, name, call, planned=planned)
         self._take(name, holder)
         line = admission_entry(holder.by, name, request, self.now, certificate=holder.device)
+        if planned:
+            return Admitted(name, holder.by, line=line)
         spec = replace(member.spec(), keys=keys)
         return Admitted(name, holder.by, spec, line, replaces=held is not None)
 
-    def _refuse_undecided(self, request: CertificateRequest, name: str, call: SignerCall) -> None:
-        """NotAdmittedError unless somebody approved the request; it waits if nobody decided."""
+    def _refuse_undecided(
+        self, request: CertificateRequest, name: str, call: SignerCall, *, planned: bool
+    ) -> None:
+        """NotAdmittedError unless somebody approved the request; it waits if nobody decided.
+
+        Where only a plan issues, it also waits until it was `planned`.
+        """
         decision = decision_on(self.ledger, request, name)
         if decision == REFUSAL:
             raise NotAdmittedError(403, "the request was refused")
-        if decision == APPROVAL and self.waiting and is_late(self.ledger, request, name):
-            self.waiting.remove(request.fingerprint)
+        late = not self._by_plan and is_late(self.ledger, request, name)
+        if decision == APPROVAL and late:
             words = f"{name} got a certificate since the request was approved: send a new request"
             raise NotAdmittedError(403, words)
-        if decision != APPROVAL and self.waiting:
-            if not self.waiting.add(request, name, call.address, self.now):
-                raise NotAdmittedError(503, "too many requests wait", retry_after=self.retry)
+        if decision != APPROVAL and not self.waiting.add(request, name, call.address, self.now):
+            raise NotAdmittedError(503, "too many requests wait", retry_after=self.retry)
+        if decision != APPROVAL or (self._by_plan and not planned):
             words = f"the request waits for approval: SHA-256 {request.fingerprint}"
             raise NotAdmittedError(202, words, retry_after=self.retry)
 
@@ -138,7 +151,7 @@ class Admission:
             return self._of_certificate(shown)
         if call.kind is CallKind.REENROL:
             raise NotAdmittedError(401, "show the current certificate as client certificate")
-        return Requester("", _APPROVED if self.waiting else "")
+        return Requester("", _APPROVED if self.anybody else "")
 
     def _of_token(self, call: SignerCall) -> Requester:
         found = presented(self.ledger, call.token, call.secret)
@@ -207,15 +220,27 @@ class Admission:
             )
         return member
 
-    def _was_answered(self, name: str, request: CertificateRequest, by: str) -> bool:
-        """Whether the newest certificate answers this request, and was admitted by the same."""
+    @cached_property
+    def _by_plan(self) -> bool:
+        """Whether only a plan that several people approved may issue."""
+        return bool(demanded(policy_of(self.ledger)))
+
+    def _requests_of(self, name: str) -> list[str]:
+        """The SHA-256 of the request that each certificate of `name` answers, oldest first."""
         lines = self.ledger.of_name("participant", name)
-        answered = [each.details.get("request") == request.fingerprint for each in lines]
-        if not any(answered):
+        return [each.details.get("request", "") for each in lines]
+
+    def _was_answered(self, name: str, request: CertificateRequest, holder: Requester) -> bool:
+        """Whether the newest certificate answers this request, and may be given to this holder.
+
+        Who has a certificate of the participant may fetch the newest in any case.
+        """
+        answered = self._requests_of(name)
+        if request.fingerprint not in answered:
             return False
-        if not answered[-1]:
+        if answered[-1] != request.fingerprint:
             raise NotAdmittedError(409, "this request was answered, and another since")
-        return by in self._admitted_by(name, request)
+        return holder.certificate is not None or holder.by in self._admitted_by(name, request)
 
     def _admitted_by(self, name: str, request: CertificateRequest) -> set[str]:
         """What admitted the request; for a renewal, also the certificate that it led to."""

@@ -32,6 +32,7 @@ from pqsec_pki.keystore import (
     BundleNumbers,
     Keystore,
     Ledger,
+    change,
     layout,
     load_certificate,
 )
@@ -52,8 +53,10 @@ class Desk:
     authorities: Authorities
     desired: Desired
     clock: Callable[[], datetime]
+    waiting: WaitingRoom
+    anybody: bool = False
+    """Whether requests without a credential wait there."""
     any_time: bool = False
-    waiting: WaitingRoom | None = None
     retry: int = 60
     factories: Mapping[str, Factory] = field(default_factory=dict)
     list_validity: timedelta | None = None
@@ -94,8 +97,9 @@ class Desk:
             with self.keystore.open_ledger() as ledger:
                 deciding = self._admission(ledger)
                 decided = [_decided(deciding, each) for each in calls]
-            new = [each for each in decided if isinstance(each, Admitted) and each.spec]
-            failures = self._issue(new)
+            admitted = [each for each in decided if isinstance(each, Admitted)]
+            self._record(admitted)
+            failures = self._issue([each for each in admitted if each.spec])
             numbers = BundleNumbers.of(self.keystore)
             return [
                 each
@@ -112,9 +116,16 @@ class Desk:
             self.clock(),
             self.any_time,
             self.waiting,
+            self.anybody,
             self.retry,
             factories=self.factories,
         )
+
+    def _record(self, admitted: Sequence[Admitted]) -> None:
+        """Enter what was admitted to certificates that a plan issued."""
+        if lines := [each.line for each in admitted if each.line and not each.spec]:
+            with change(self.keystore.root) as transaction:
+                transaction.record(*lines)
 
     def _issue(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
         """Issue in one change, or in two if some replace certificates; returns errors by name."""
@@ -148,7 +159,7 @@ class Desk:
     ) -> SignerAnswer:
         if admitted.spec and (error := failures.get(admitted.name)):
             return _failed(error)
-        if admitted.line and self.waiting:
+        if admitted.line:
             self.waiting.remove(admitted.line.sha256)
         note = f"{admitted.name} by {admitted.by}{'' if admitted.spec else ', again'}"
         if call.kind is CallKind.REQUEST:

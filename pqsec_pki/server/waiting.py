@@ -1,11 +1,11 @@
-"""Requests that wait until somebody decides, in a folder of the signer, and the decisions.
+"""Requests that wait until somebody decides, in a folder of the signer.
 
-Anybody can send one, so their number is limited, also for each name. The decision is a line of the
-ledger; a request is answered when its robot asks again.
+Anybody can send one, so their number is limited, also for each name. A file has one: a line of JSON
+with what the server knows of it, and the request itself in DER.
 """
 
 import json
-from collections.abc import Iterable
+from dataclasses import field
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, Self
@@ -14,10 +14,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, exists, read, write
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import MalformedError, UsageError, located, shown
-from pqsec_pki.keystore import Entry, Keystore, Ledger, change
 
-APPROVAL, REFUSAL = "request-approval", "request-refusal"
-"""Kinds of lines; they have the SHA-256 of the request."""
 MOST_OF_NAME = 3
 LIFETIME = timedelta(days=30)
 _SHORTEST = 8
@@ -33,6 +30,7 @@ class WaitingRequest:
     """Of its DER; `pqsec inspect` on the robot shows it too."""
     address: str
     received: datetime
+    request: CertificateRequest = field(repr=False)
 
     def to_json(self) -> dict[str, object]:
         """The request for --json."""
@@ -43,15 +41,24 @@ class WaitingRequest:
             "received": self.received,
         }
 
+    def to_bytes(self) -> bytes:
+        """The content of its file."""
+        received = self.received.isoformat(timespec="seconds")
+        known = {"name": self.name, "address": self.address, "received": received}
+        return json.dumps(known).encode() + b"\n" + self.request.der
+
     @classmethod
     def of(cls, data: bytes) -> Self:
         """MalformedError if it is not one."""
+        known, _, der = data.partition(b"\n")
+        request = CertificateRequest.from_der(der)
         try:
-            value: dict[str, Any] = json.loads(data)
+            value: dict[str, Any] = json.loads(known)
             received = datetime.fromisoformat(value["received"])
-            return cls(str(value["name"]), str(value["sha256"]), str(value["address"]), received)
+            name, address = str(value["name"]), str(value["address"])
         except (ValueError, KeyError, TypeError, RecursionError):
             raise MalformedError("not a request that waits") from None
+        return cls(name, request.fingerprint, address, received, request)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +73,7 @@ class WaitingRoom:
         if not exists(self.folder):
             return []
         with disk_errors(self.folder):
-            paths = sorted(self.folder.glob("*.json"))
+            paths = sorted(self.folder.glob("*.request"))
         return sorted(map(_read, paths), key=lambda each: each.received)
 
     def add(self, request: CertificateRequest, name: str, address: str, now: datetime) -> bool:
@@ -79,9 +86,8 @@ class WaitingRoom:
             return False
         with disk_errors(self.folder):
             self.folder.mkdir(mode=0o700, exist_ok=True)
-        waits = WaitingRequest(name, request.fingerprint, address, now)
-        text = json.dumps({**waits.to_json(), "received": now.isoformat(timespec="seconds")})
-        write(path, text.encode(), private=True)
+        waits = WaitingRequest(name, request.fingerprint, address, now, request)
+        write(path, waits.to_bytes(), private=True)
         return True
 
     def remove(self, sha256: str) -> None:
@@ -100,7 +106,7 @@ class WaitingRoom:
         return found[0]
 
     def _path(self, sha256: str) -> Path:
-        return self.folder / f"{sha256}.json"
+        return self.folder / f"{sha256}.request"
 
     def _without_old(self, now: datetime) -> list[WaitingRequest]:
         there = self.all()
@@ -110,47 +116,6 @@ class WaitingRoom:
         return [each for each in there if each.received >= now - LIFETIME]
 
 
-def decision_on(ledger: Ledger, request: CertificateRequest, name: str) -> str:
-    """APPROVAL or REFUSAL of the request, by the ledger; empty if nobody decided."""
-    for kind in (REFUSAL, APPROVAL):
-        if any(each.sha256 == request.fingerprint for each in ledger.of_name(kind, name)):
-            return kind
-    return ""
-
-
-def is_late(ledger: Ledger, request: CertificateRequest, name: str) -> bool:
-    """Whether the approval of the request is older than the newest certificate of `name`."""
-    approved, issued = ledger.numbers(APPROVAL), ledger.numbers("participant")
-    lines = ledger.of_name("participant", name)[-1:]
-    return any(issued[each.sha256] > approved.get(request.fingerprint, 0) for each in lines)
-
-
-def decide(
-    keystore: Keystore, room: WaitingRoom, ids: Iterable[str], kind: str, *, now: datetime
-) -> list[WaitingRequest]:
-    """Enter the decision on these requests, all or none; errors as of `WaitingRoom.named`."""
-    chosen = {each.sha256: each for each in map(room.named, ids)}
-
-    entries = [
-        Entry(
-            at=now.isoformat(timespec="seconds"),
-            kind=kind,
-            name=each.name,
-            serial=None,
-            sha256=each.sha256,
-            not_after=None,
-            details={"address": each.address},
-        )
-        for each in chosen.values()
-    ]
-    with change(keystore.root) as transaction:
-        transaction.record(*entries)
-    if kind == REFUSAL:
-        for sha256 in chosen:
-            room.remove(sha256)
-    return list(chosen.values())
-
-
 def _read(path: Path) -> WaitingRequest:
     with located(path):
-        return WaitingRequest.of(read(path, limit=1 << 16))
+        return WaitingRequest.of(read(path))

@@ -7,9 +7,15 @@ import pytest
 
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.certificates import Certificate, CertificateRequest, Reason, certificate_request
-from pqsec_pki.domain import Plan, StepAction, create_keystore, read_domain
+from pqsec_pki.domain import Plan, StepAction, create_keystore, deliver_request, read_domain
 from pqsec_pki.enrolment import Bundle, flat_name, refresh, request
-from pqsec_pki.errors import ExistsError, KeystoreError, VerificationError
+from pqsec_pki.errors import (
+    ExistsError,
+    KeystoreError,
+    MalformedError,
+    UsageError,
+    VerificationError,
+)
 from pqsec_pki.keystore import audit, status
 from pqsec_pki.lifecycle import Rollover, renew, revoke
 from pqsec_pki.tokens import reference_to
@@ -461,3 +467,21 @@ def test_a_bundle_of_keys_that_are_here_holds_none(fleet, tmp_path):
     assert not Bundle.from_bytes(path.read_bytes()).has_keys
     with pytest.raises(KeystoreError, match="there is no participant /nobody"):
         list(refresh(fleet.keystore, ["/nobody"], tmp_path / "out", now=NOW))
+
+
+def test_a_delivered_request_replaces_that_of_its_name_alone(tmp_path):
+    fleet = Fleet(tmp_path, FILE.replace("inbox/", "both.csr"))
+    first, second, new = (
+        request(name, profile_named("classical"), tmp_path / str(number), force=True).request
+        for number, name in enumerate(("/r1", "/r2", "/r2"))
+    )
+    (tmp_path / "both.csr").write_bytes(first.pem + second.pem)
+    members = read_domain(fleet.file).members
+    deliver_request(members["/r2"], new)
+    assert (tmp_path / "both.csr").read_bytes() == first.pem + new.pem
+    with pytest.raises(UsageError, match="has no `request` for /made"):
+        deliver_request(members["/made"], new)
+    (tmp_path / "both.csr").write_bytes(b"damaged")
+    with pytest.raises(MalformedError, match=r"both\.csr"):
+        deliver_request(members["/r2"], new)
+    assert (tmp_path / "both.csr").read_bytes() == b"damaged"

@@ -4,6 +4,7 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.lifecycle import ParticipantSpec
 from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.requester import Admitted
+from pqsec_pki.server.waiting import WaitingRoom
 from tests.unit.keystores import DAY, NOW, made
 
 
@@ -11,7 +12,8 @@ def test_a_batch_with_a_replacement_replaces_nobody_else(tmp_path):
     """A name with files and without a token that replaces it lost its key beside another's."""
     keystore = made(tmp_path / "k", "classical")
     before = {name: keystore.participant(name).certificate for name in ("/talker", "/listener")}
-    desk = Desk(keystore, keystore.unlock(None), None, lambda: NOW + DAY)
+    room = WaitingRoom(tmp_path / "waiting", 1)
+    desk = Desk(keystore, keystore.unlock(None), None, lambda: NOW + DAY, room)
     batch = [
         Admitted(
             name=name,
