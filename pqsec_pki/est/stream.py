@@ -70,6 +70,7 @@ class TlsStream:
 
     def _waiting(self, call: Callable[[], Result]) -> Result:
         while True:
+            self._left()
             try:
                 return call()
             except SSL.WantReadError:
@@ -78,11 +79,20 @@ class TlsStream:
                 self._wait(select.POLLOUT)
 
     def _wait(self, event: int) -> None:
-        left = self._until - time.monotonic()
+        left = self._left()
         poll = select.poll()
         poll.register(self._socket, event)
-        if left <= 0 or not poll.poll(left * 1000):
+        poll.poll(left * 1000)
+
+    def _left(self) -> float:
+        """The seconds that are left. TimeoutError for none, also if there is always more to read.
+
+        http.client reads interim answers, chunks and trailers without a limit of its own.
+        """
+        left = self._until - time.monotonic()
+        if left <= 0:
             raise TimeoutError("it takes too long")
+        return left
 
 
 class _Incoming(io.RawIOBase):

@@ -214,6 +214,33 @@ def test_a_server_that_drips_holds_nobody_beyond_the_limit(shown, handshake, mon
         EstClient(server=url, trust=trust).get(PATH)
 
 
+CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
+CHUNKED = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"
+
+
+@pytest.mark.timeout(60)
+@pytest.mark.parametrize(
+    ("begin", "piece"),
+    [(b"", CONTINUE), (CHUNKED, b"1\r\na\r\n"), (CHUNKED + b"0\r\n", b"X: y\r\n")],
+)
+def test_a_server_that_never_pauses_holds_nobody_beyond_the_limit(
+    server, monkeypatch, begin, piece
+):
+    """There was always something to read: nobody looked at the clock."""
+
+    def flood(handler):
+        with suppress(SSL.Error):
+            handler.wfile.write(begin)
+            while True:
+                handler.wfile.write(piece * 1000)
+        return True
+
+    server.reply = flood
+    monkeypatch.setattr(client, "ANSWERING", 0.5)
+    with pytest.raises(PqsecError, match="it takes too long"):
+        asking(server).get(PATH)
+
+
 def test_the_secret_is_in_no_repr():
     made = EstClient(server="https://a", trust=ServerTrust(), secret=("id", "geheim"))
     assert "geheim" not in repr(made)
