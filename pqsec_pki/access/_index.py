@@ -16,6 +16,16 @@ class Names:
         self.sorted = sorted(set(names))
         self._all = frozenset(self.sorted)
 
+    def covered_by(self, patterns: Iterable[str], covers: Covers = posix) -> set[str]:
+        """The names that one of the patterns covers."""
+        found = set[str]()
+        for pattern in patterns:
+            if is_wildcard(pattern):
+                found |= self.covered(pattern, covers)
+            elif pattern in self._all:
+                found.add(pattern)
+        return found
+
     def covered(self, pattern: str, covers: Covers = posix) -> frozenset[str]:
         """The names that the pattern covers."""
         if not is_wildcard(pattern):

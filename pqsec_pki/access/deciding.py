@@ -63,6 +63,11 @@ class InterpretedPolicy:
             return replace(decision, reason=f"{_DOUBT}: {decision.reason}")
         return decision
 
+    def grant(self, join: Question) -> Grant | None:
+        """The grant that applies to the subject, on every domain; None if there is none."""
+        context = self._context(join)
+        return context.grant if context else None
+
     def joins(self, join: Question) -> bool:
         """Whether `decide` allows it to join."""
         context = self._context(join)

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
+from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 -- callers use it
@@ -17,6 +18,10 @@ from pqsec_pki.access.matrix import DocumentOwner, Matrix, TopicRow, samples, to
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
 _SPECIAL = re.compile(r"[*?\[\\]")
+_Users: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
+"""Those who may publish a topic, and those who may subscribe to it."""
+_Rows: TypeAlias = dict[_Users, tuple[int, ...]]
+"""Each with the numbers of the ranges of domains on which they are those."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,26 +93,30 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     if not governed:
         return ()
     asked = samples(members, topics, asked)
-    found: dict[str, dict[TopicRow, tuple[DomainRange, ...]]] = {topic: {} for topic in asked}
     matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
-    for stretch in apart:
+    of_sample: dict[str | None, list[str]] = {}
+    for topic, name in asked.items():
+        of_sample.setdefault(name, []).append(topic)
+    found: dict[str, _Rows] = {topic: {} for topic in asked}
+    for number, stretch in enumerate(apart):
         users = matrix.users(stretch.first)
-        for topic, name in asked.items():
-            if name in users.publishers or name in users.subscribers:
-                rows, row = found[topic], users.row(topic, name)
-                rows[row] = (*rows.get(row, ()), stretch)
-    for topic, rows in found.items():
-        if not rows:
-            nobody = TopicRow(topic=topic, asked=asked[topic], publishers=(), subscribers=())
-            rows[nobody] = governed
-    different = {where for rows in found.values() for where in rows.values()}
-    sets = {where: domain_set(where) for where in different}
-    placed = (
-        Placed(row=row, domains=sets[where])
-        for rows in found.values()
-        for row, where in rows.items()
+        for name in users.topics:
+            who = users.of(name)
+            for topic in of_sample[name]:
+                found[topic][who] = (*found[topic].get(who, ()), number)
+    nobody: _Rows = {((), ()): tuple(map(apart.index, governed))}
+    sets: dict[tuple[int, ...], DomainSet] = {}
+    for where in {where for rows in (*found.values(), nobody) for where in rows.values()}:
+        sets[where] = domain_set([apart[number] for number in where])
+    return tuple(
+        Placed(row=_row(topic, asked[topic], who), domains=sets[where])
+        for topic, rows in found.items()
+        for who, where in (rows or nobody).items()
     )
-    return tuple(placed)
+
+
+def _row(topic: str, asked: str | None, who: _Users) -> TopicRow:
+    return TopicRow(topic=topic, asked=asked, publishers=who[0], subscribers=who[1])
 
 
 def topics_asked(members: Sequence[DocumentOwner], topics: Iterable[str]) -> dict[str, str | None]:

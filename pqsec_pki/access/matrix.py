@@ -1,7 +1,9 @@
 """Who may publish and subscribe to what: many participants, many topics."""
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import field, replace
 from datetime import datetime
+from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._index import Names
@@ -10,9 +12,12 @@ from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.question import MAX_NAME, Action, Question
-from pqsec_pki.documents import Criteria, Governance, Permissions
+from pqsec_pki.documents import Criteria, Governance, Grant, PermissionRule, Permissions
 
 _NOTHING: Mapping[str, str | None] = {}
+_Kind: TypeAlias = int
+_Covering: TypeAlias = tuple[int, ...]
+"""The numbers of the criteria of a grant that cover a topic."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,7 +81,11 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
     asked = samples(members, topics, asked)
     matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
     users = matrix.users(domain)
-    return tuple(users.row(topic, name) for topic, name in asked.items())
+    return tuple(
+        TopicRow(topic=topic, asked=name, publishers=publishers, subscribers=subscribers)
+        for topic, name in asked.items()
+        for publishers, subscribers in [users.of(name or "")]
+    )
 
 
 def samples(
@@ -92,21 +101,42 @@ def samples(
 class TopicUsers:
     """Who may use each topic on a domain: only topics that anybody may use."""
 
-    publishers: Mapping[str, list[str]]
-    subscribers: Mapping[str, list[str]]
+    publishers: dict[str, list[str]]
+    subscribers: dict[str, list[str]]
 
-    def row(self, topic: str, asked: str | None) -> TopicRow:
-        """The row of the topic, or of a pattern with its sample topic."""
-        return TopicRow(
-            topic=topic,
-            asked=asked,
-            publishers=tuple(self.publishers.get(asked or "", ())),
-            subscribers=tuple(self.subscribers.get(asked or "", ())),
-        )
+    @property
+    def topics(self) -> Iterable[str]:
+        """The topics, each once."""
+        return self.publishers | self.subscribers
+
+    def of(self, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """Who may publish the topic, and who may subscribe to it."""
+        return tuple(self.publishers.get(topic, ())), tuple(self.subscribers.get(topic, ()))
+
+
+@dataclass(slots=True)
+class _MatrixMember:
+    """A participant with the grant that applies to it."""
+
+    name: str
+    policy: InterpretedPolicy
+    join: Question
+    grant: Grant
+    outline: int
+    """The same number for grants that differ only in names: decisions depend on nothing else."""
+    covering: dict[str, _Covering] | None = None
+    """The topics that its criteria cover, each with the numbers of those criteria."""
+    alike: dict[tuple[_Kind, _Covering], list[str]] = field(default_factory=dict)
+    """Those of one kind that the same criteria cover."""
 
 
 class Matrix:
-    """Many participants and topics, for questions about one domain after another."""
+    """Many participants and topics, for questions about one domain after another.
+
+    A decision depends on a topic only by the patterns that cover it. So one topic is asked about
+    for all that governance treats alike and that the same criteria cover; and one participant for
+    all whose grants differ only in the names of topics.
+    """
 
     def __init__(
         self,
@@ -117,68 +147,108 @@ class Matrix:
         now: datetime,
         interpretation: Interpretation,
     ) -> None:
-        self._now, self._covers = now, interpretation.covers
+        self._now, self._interpretation = now, interpretation
         # No topic of DDS is longer, so nobody may use it.
         self._known = Names(name for name in names if name and len(name) <= MAX_NAME)
         rules = [each for rule in governance.domain_rules for each in rule.topic_rules]
         expressions = tuple(dict.fromkeys(each.topic_expression for each in rules))
-        self._kind: dict[str, object] = {}
+        self._kind: dict[str, _Kind] = {}
         """Governance treats topics of one kind alike on every domain: the same rules cover them."""
-        self._of_kind: dict[object, list[str]] = {}
+        kinds: dict[object, _Kind] = {}
+        self._of_kind: dict[_Kind, list[str]] = {}
         for name in self._known.sorted:
             covered = tuple(interpretation.governs(each, name) for each in expressions)
-            kind = covered, name in interpretation.builtin
+            kind = kinds.setdefault((covered, name in interpretation.builtin), len(kinds))
             self._kind[name] = kind
             self._of_kind.setdefault(kind, []).append(name)
-        self._members = [
-            (each, InterpretedPolicy(governance, each.permissions, interpretation))
-            for each in members
-        ]
+        self._joins: dict[object, bool] = {}
+        self._actions: dict[object, tuple[Action, ...]] = {}
+        self._members = list(self._applicable(governance, members))
+
+    def _applicable(
+        self, governance: Governance, owners: Iterable[DocumentOwner]
+    ) -> Iterator[_MatrixMember]:
+        """Those to whom a grant applies; the others may do nothing."""
+        outlines: dict[object, int] = {}
+        for each in owners:
+            policy = InterpretedPolicy(governance, each.permissions, self._interpretation)
+            join = Question(subject=each.subject, domain=0, action=Action.JOIN, now=self._now)
+            if grant := policy.grant(join):
+                is_in_force = self._interpretation.in_force(grant, self._now)
+                outline = is_in_force, grant.default, tuple(map(_outline, grant.rules))
+                number = outlines.setdefault(outline, len(outlines))
+                yield _MatrixMember(each.name, policy, join, grant, number)
 
     def users(self, domain: int) -> TopicUsers:
         """Who may use which of the topics on that domain, with the members in their order."""
         publishers: dict[str, list[str]] = {}
         subscribers: dict[str, list[str]] = {}
-        for member, policy in self._members:
-            join = Question(
-                subject=member.subject, domain=domain, action=Action.JOIN, now=self._now
-            )
-            for action, topic in self._uses(member, policy, join) if policy.joins(join) else ():
-                found = publishers if action is Action.PUBLISH else subscribers
-                found.setdefault(topic, []).append(member.name)
+        for member in self._members:
+            for actions, topics in self._uses(member, domain):
+                for action in actions:
+                    found = publishers if action is Action.PUBLISH else subscribers
+                    for topic in topics:
+                        found.setdefault(topic, []).append(member.name)
         return TopicUsers(publishers, subscribers)
 
     def _uses(
-        self, member: DocumentOwner, policy: InterpretedPolicy, join: Question
-    ) -> Iterator[tuple[Action, str]]:
-        """The topics that this member may use, each with its action.
+        self, member: _MatrixMember, domain: int
+    ) -> Iterator[tuple[tuple[Action, ...], Iterable[str]]]:
+        """What this member may do with which topics."""
+        key = member.outline, domain
+        if key not in self._joins:
+            self._joins[key] = member.policy.joins(replace(member.join, domain=domain))
+        if not self._joins[key]:
+            return
+        covering = self._covering(member)
+        for (kind, numbers), names in member.alike.items():
+            if actions := self._allowed(member, domain, kind, numbers, names):
+                yield actions, names
+        for kind, names in self._of_kind.items():
+            if actions := self._allowed(member, domain, kind, (), names):
+                yield actions, [name for name in names if name not in covering]
 
-        A decision depends only on which patterns cover the topic. So one topic is asked about for
-        all that governance treats alike and that the same criteria cover.
-        """
-        covering, alike = self._covering(member), dict[object, list[str]]()
-        for name, numbers in covering.items():
-            alike.setdefault((self._kind[name], numbers), []).append(name)
-        own = {names[0]: names for names in alike.values()}
-        others = dict[str, list[str]]()
-        for names in self._of_kind.values():
-            if first := next((name for name in names if name not in covering), None):
-                others[first] = names
-        for action, first in policy.uses(join, (*own, *others)):
-            names = own.get(first) or [each for each in others[first] if each not in covering]
-            yield from ((action, name) for name in names)
+    def _allowed(
+        self,
+        member: _MatrixMember,
+        domain: int,
+        kind: _Kind,
+        numbers: _Covering,
+        names: Iterable[str],
+    ) -> tuple[Action, ...]:
+        """What such a member may do with such topics; `names` are some, and others that differ."""
+        key = member.outline, domain, kind, numbers
+        if key not in self._actions:
+            covering = self._covering(member)
+            one = next((name for name in names if covering.get(name, ()) == numbers), None)
+            if one is None:
+                return ()  # there is no such topic
+            join = replace(member.join, domain=domain)
+            self._actions[key] = tuple(action for action, _ in member.policy.uses(join, [one]))
+        return self._actions[key]
 
-    def _covering(self, member: DocumentOwner) -> dict[str, tuple[int, ...]]:
-        """The topics that this member's criteria cover, each with the numbers of those criteria."""
-        found: dict[str, tuple[int, ...]] = {}
-        for number, criteria in enumerate(_criteria(member)):
-            covered = (self._known.covered(each, self._covers) for each in criteria.topics)
-            for name in frozenset[str]().union(*covered):
-                found[name] = (*found.get(name, ()), number)
-        return found
+    def _covering(self, member: _MatrixMember) -> dict[str, _Covering]:
+        """The topics that this member's criteria cover; it also groups them."""
+        if member.covering is None:
+            found: dict[str, _Covering] = {}
+            for number, criteria in enumerate(_criteria(member.grant)):
+                for name in self._known.covered_by(criteria.topics, self._interpretation.covers):
+                    found[name] = (*found.get(name, ()), number)
+            for name, numbers in found.items():
+                member.alike.setdefault((self._kind[name], numbers), []).append(name)
+            member.covering = found
+        return member.covering
 
 
-def _criteria(member: DocumentOwner) -> Iterator[Criteria]:
-    for grant in member.permissions.grants:
-        for rule in grant.rules:
-            yield from (*rule.publish, *rule.subscribe, *rule.relay)
+def _criteria(grant: Grant) -> Iterator[Criteria]:
+    for rule in grant.rules:
+        yield from (*rule.publish, *rule.subscribe, *rule.relay)
+
+
+def _outline(rule: PermissionRule) -> object:
+    """The rule without its topics."""
+    limits = (
+        tuple((each.partitions, each.data_tags) for each in criteria)
+        for criteria in (rule.publish, rule.subscribe, rule.relay)
+    )
+    return rule.allow, rule.domains, *limits

@@ -7,14 +7,14 @@ used, each step has a time limit, and an answer a size limit.
 import base64
 import json
 import socket
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import field
 from datetime import UTC, datetime, timedelta
 from email.utils import parsedate_to_datetime
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException, HTTPResponse
-from typing import Any, NoReturn
+from typing import Any, NoReturn, TypeAlias
 from urllib.parse import urlsplit
 
 from OpenSSL import SSL
@@ -36,6 +36,16 @@ SOONEST, LATEST = timedelta(seconds=1), timedelta(hours=1)
 _PORT = 443
 _LONGEST_WORDS = 300
 _LATER = (HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS)
+_ANOTHER = (HTTPStatus.MISDIRECTED_REQUEST, HTTPStatus.SERVICE_UNAVAILABLE)
+"""What another of the servers may answer better."""
+MOST_PLACES = 4
+"""Addresses of one name that are tried, one after the other."""
+_Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
+"""An address, as the system's calls have it."""
+
+
+class TryAnotherError(PqsecError):
+    """This server did not answer; another one of the same name may."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -77,15 +87,42 @@ class EstClient:
     def _ask(
         self, method: str, path: str, body: bytes | None, headers: Mapping[str, str]
     ) -> ServerAnswer:
-        connection = _Https(self)
+        places = self._places()
+        for place in places[:-1]:
+            with suppress(TryAnotherError):
+                return self._asked(place, method, path, body, headers)
+        return self._asked(places[-1], method, path, body, headers)
+
+    def _places(self) -> Sequence[_Place]:
+        """The addresses of the server's name. The only one comes twice: a balancer may be there."""
+        parts = urlsplit(self.server)
+        try:
+            found = socket.getaddrinfo(parts.hostname, parts.port or _PORT, type=socket.SOCK_STREAM)
+        except OSError as error:
+            raise self._unanswered(error) from None
+        places = list(dict.fromkeys((family, address) for family, _, _, _, address in found))
+        return places[:MOST_PLACES] if len(places) > 1 else places * 2
+
+    def _unanswered(self, error: Exception) -> "TryAnotherError":
+        return TryAnotherError(
+            f"{self.server} cannot be asked: {_words(error)}",
+            hint="what is installed stays as it is; run the command again later",
+        )
+
+    def _asked(
+        self,
+        place: _Place,
+        method: str,
+        path: str,
+        body: bytes | None,
+        headers: Mapping[str, str],
+    ) -> ServerAnswer:
+        connection = _Https(self, place)
         try:
             connection.request(method, path, body, {**self._headers, **headers})
             return self._answer(connection.getresponse())
         except (OSError, SSL.Error, HTTPException, UnicodeError) as error:
-            raise PqsecError(
-                f"{self.server} cannot be asked: {_words(error)}",
-                hint="what is installed stays as it is; run the command again later",
-            ) from None
+            raise self._unanswered(error) from None
         finally:
             connection.end()
 
@@ -122,6 +159,8 @@ class EstClient:
             words = f"{self.server} says: {why}"
         if 300 <= status < 400:  # noqa: PLR2004 -- redirects (RFC 9110 15.4)
             raise PqsecError(f"{words}: no redirect is followed", hint="use the server's own URL")
+        if status in _ANOTHER:
+            raise TryAnotherError(words, hint="run the command again later")
         if status in _LATER or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             raise PqsecError(words, hint="run the command again later")
         raise VerificationError(words)
@@ -130,10 +169,10 @@ class EstClient:
 class _Https(HTTPConnection):
     """HTTP over TlsStream."""
 
-    def __init__(self, client: EstClient) -> None:
+    def __init__(self, client: EstClient, place: _Place) -> None:
         parts = urlsplit(client.server)
         super().__init__(parts.hostname or "", parts.port or _PORT)
-        self._client = client
+        self._client, self._place = client, place
         self._stream: TlsStream | None = None
 
     def connect(self) -> None:
@@ -141,7 +180,7 @@ class _Https(HTTPConnection):
         context = client_context(
             client.trust, self.host, client.identity, classical=client.classical
         )
-        connected = socket.create_connection((self.host, self.port), CONNECTING)
+        connected = _connected(self._place)
         self._stream = stream = TlsStream(connected, context, self.host)
         stream.allow(AGREEING)
         stream.handshake(classical=client.classical)
@@ -153,6 +192,18 @@ class _Https(HTTPConnection):
         self.close()
         if self._stream:
             self._stream.end()
+
+
+def _connected(place: _Place) -> socket.socket:
+    family, address = place
+    made = socket.socket(family, socket.SOCK_STREAM)
+    try:
+        made.settimeout(CONNECTING)
+        made.connect(address)
+    except BaseException:
+        made.close()
+        raise
+    return made
 
 
 def _words(error: Exception) -> str:

@@ -25,6 +25,7 @@ The ledger:
     _postgres_schema  its tables and rights, as SQL
     _shared       which of the two a keystore has; the connection of the change that is made
     _moved_ledger     lines that go from one of the two to the other
+    _shared_files     what machines with one ledger get of each other: files that lines are about
     _replaced_cas     whether another machine replaced the CAs
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
@@ -64,6 +65,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._moved_ledger import moved_entry
     from pqsec_pki.keystore._postgres_schema import schema_sql
     from pqsec_pki.keystore._settings import settings_file
+    from pqsec_pki.keystore._shared_files import LedgerFile, files_elsewhere
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
     from pqsec_pki.keystore.anchoring import (
         Anchored,
@@ -164,6 +166,7 @@ __all__ = [
     "Keystore",
     "Ledger",
     "LedgerAddress",
+    "LedgerFile",
     "Line",
     "Overlap",
     "Overview",
@@ -193,6 +196,7 @@ __all__ = [
     "enrolled_by",
     "expanded",
     "faults_of_ledger",
+    "files_elsewhere",
     "governance_digest",
     "grant_end_entry",
     "grant_entry",

@@ -4,8 +4,6 @@ Files that were right before are not read again while their inode, size and chan
 the same.
 """
 
-import base64
-import binascii
 import hashlib
 import json
 import os
@@ -17,6 +15,7 @@ from pqsec_pki._files import exists, read
 from pqsec_pki.errors import FileError, MissingError, PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._shared_files import pem_fingerprint
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.states import Compare, Files
 
@@ -116,13 +115,3 @@ def _compared(folder: str, certificate: str, permissions: str) -> Files:
         if found == permissions:
             return Files.RIGHT
     return Files.OTHER_PERMISSIONS
-
-
-def pem_fingerprint(data: bytes) -> str | None:
-    """SHA-256 of the DER of the first certificate in PEM `data`; None if it is not base64."""
-    _, _, block = data.partition(b"-----BEGIN")
-    body = block.partition(b"\n")[2].partition(b"-----END")[0]
-    try:
-        return hashlib.sha256(base64.b64decode(body)).hexdigest()
-    except binascii.Error:
-        return None

@@ -7,7 +7,7 @@ the commit, so lines are numbered and chained as with one machine.
 import hashlib
 import os
 import sqlite3
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Self
 
@@ -48,6 +48,8 @@ _SESSION_SQL = (
 _COLUMNS = f"number, {_table.COLUMNS}, chain"
 _SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger ORDER BY number"  # noqa: S608 -- no outside text
 _COPY = f"COPY pqsec.ledger ({_COLUMNS}) FROM STDIN"
+_KEEP = "INSERT INTO pqsec.files (sha256, content) VALUES (%s, %s) ON CONFLICT DO NOTHING"
+_KEPT = "SELECT sha256, content FROM pqsec.files WHERE sha256 = ANY(%s)"
 _MODE, _VERIFIED = "PGSSLMODE", "verify-full"
 _BATCH = 5000
 """Rows of one answer."""
@@ -131,6 +133,16 @@ class PostgresLedger:
         with self._errors(), self._connection.cursor() as cursor, cursor.copy(_COPY) as copy:
             for row in rows:
                 copy.write_row(row)
+
+    def keep(self, files: Iterable[tuple[str, bytes]]) -> None:
+        """Keep these files, each under the SHA-256 of its line; `commit` makes them stay."""
+        with self._errors(), self._connection.cursor() as cursor:
+            cursor.executemany(_KEEP, files)
+
+    def kept(self, wanted: Collection[str]) -> dict[str, bytes]:
+        """Of the files with these SHA-256 those that are there; nobody compared their content."""
+        with self._errors():
+            return dict(self._connection.execute(_KEPT, (list(wanted),)).fetchall())
 
     def commit(self) -> None:
         """End the change. After a KeystoreError only `has` tells whether it was committed."""

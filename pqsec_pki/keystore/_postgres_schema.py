@@ -44,7 +44,15 @@ CREATE FUNCTION pqsec.lines_follow() RETURNS trigger LANGUAGE plpgsql
 CREATE TRIGGER ledger_follows BEFORE INSERT ON pqsec.ledger
     FOR EACH ROW EXECUTE FUNCTION pqsec.lines_follow();
 """
-_FORMATS = (_FORMAT_1,)
+_FORMAT_2 = """
+CREATE TABLE pqsec.files (
+    sha256 text PRIMARY KEY,
+    content bytea NOT NULL,
+    written_at timestamptz NOT NULL DEFAULT now()
+);
+"""
+"""Certificates and signed documents, for other machines; the SHA-256 is that of a line."""
+_FORMATS = (_FORMAT_1, _FORMAT_2)
 """The steps from each format to the next."""
 FORMAT = len(_FORMATS)
 
@@ -61,7 +69,7 @@ def schema_sql(writers: Iterable[str] = (), readers: Iterable[str] = ()) -> str:
         *(_step(number, each) for number, each in enumerate(_FORMATS, 1)),
         "REVOKE ALL ON SCHEMA pqsec FROM PUBLIC;",
         *(line for role in readers for line in _reads(role)),
-        *(line for role in writers for line in (*_reads(role), _inserts(role))),
+        *(line for role in writers for line in (*_reads(role), *_inserts(role))),
         "COMMIT;",
     ]
     return "\n".join(parts) + "\n"
@@ -79,10 +87,11 @@ def _reads(role: str) -> Iterator[str]:
     yield f"GRANT SELECT ON pqsec.ledger, pqsec.format TO {_quoted(role)};"
 
 
-def _inserts(role: str) -> str:
+def _inserts(role: str) -> Iterator[str]:
     """Not the columns that the server fills: when a line was written, and by which role."""
     columns = f"number, {_table.COLUMNS}, chain"
-    return f"GRANT INSERT ({columns}) ON pqsec.ledger TO {_quoted(role)};"
+    yield f"GRANT INSERT ({columns}) ON pqsec.ledger TO {_quoted(role)};"
+    yield f"GRANT SELECT, INSERT (sha256, content) ON pqsec.files TO {_quoted(role)};"
 
 
 def _quoted(role: str) -> str:

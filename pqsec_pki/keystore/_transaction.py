@@ -5,7 +5,7 @@ Anything that would make a later step fail is refused here, before the keystore 
 
 import os
 import stat
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import field, replace
 from pathlib import Path
@@ -20,6 +20,7 @@ from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._shared_files import LedgerFile, recorded_files
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -185,6 +186,15 @@ class Transaction:
             if ledger.size > before:
                 self.committed_by = ledger.size, ledger.head
                 self.database.add(ledger.stored(after=before))
+                folders = [str(number) for number in range(len(self.targets))]
+                self.database.keep(recorded_files(self.made, folders, self.entries))
+
+    def kept(self, files: Collection[LedgerFile]) -> dict[LedgerFile, bytes]:
+        """The content of those of these files that the database keeps."""
+        if self.database is None:
+            return {}
+        contents = self.database.kept({each.sha256 for each in files})
+        return {each: data for each in files if (data := each.in_(contents))}
 
     @contextmanager
     def _ledger(self) -> Iterator[Ledger]:

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Self
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore import layout
-from pqsec_pki.keystore._file_comparison import pem_fingerprint
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._shared_files import pem_fingerprint
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import TRUST, TRUST_END
 

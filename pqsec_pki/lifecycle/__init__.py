@@ -15,6 +15,7 @@ CAs:
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
     grouping      stores the groups of a domain file, and whose approvals are needed
+    fetching      gets what another machine with the same ledger wrote
     moving        moves the ledger from its file into a database, and back
     registering   grants for registration authorities, and their end
     adopting      makes another tool's keystore a pqsec keystore; `_scan` finds what it contains
@@ -27,6 +28,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
     from pqsec_pki.lifecycle.adopting import Adoptable, Adopted, adopt, adoptable
+    from pqsec_pki.lifecycle.fetching import fetch_files
     from pqsec_pki.lifecycle.grouping import store_approvals, store_groups
     from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, grows
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
@@ -86,6 +88,7 @@ __all__ = [
     "changed_protection",
     "changed_rights",
     "end_registrations",
+    "fetch_files",
     "grows",
     "issue",
     "lasts_longer",

@@ -95,7 +95,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
         _refuse_keys(keystore, specs, now, compromised=compromised_keys)
         _refuse_ca_keys(authorities, specs)
         _refuse_files(keystore, specs)
-        shared = _shared(keystore, authorities)
+        shared = shared_files(keystore, authorities)
         folders = [
             transaction.folder(layout.enclave_folder(spec.name), private=True) for spec in specs
         ]
@@ -144,12 +144,17 @@ def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
     if spec.keys is None:
         transaction.remove(f"{folder}/{layout.REQUEST}")
         return
+    clear_keys(transaction, folder)
+
+
+def clear_keys(transaction: Transaction, folder: str) -> None:
+    """Remove the private keys in the folder of a participant whose keys are elsewhere now."""
     for key in layout.KEYS:
         transaction.shred(f"{folder}/{key}")
         transaction.remove(f"{folder}/{key}")
 
 
-def _shared(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
+def shared_files(keystore: Keystore, authorities: Authorities) -> dict[str, str]:
     """The shared files that all enclaves link to."""
     shared = _SHARED | (layout.ALT_TARGET if authorities.countersigner else {})
     return shared | (layout.LIST_TARGET if keystore.has_revocation_list else {})

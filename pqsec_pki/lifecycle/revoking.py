@@ -148,7 +148,7 @@ class Publisher:
         """
         refuse_overlap(self.keystore, "a revocation list would cover only one of them")
         made = self.stage(transaction, new, validity)
-        for place, target in _missing_links(self.keystore):
+        for place, target in missing_list_links(self.keystore):
             transaction.link(place, target)
         return made
 
@@ -302,7 +302,7 @@ def _revoked(entry: Entry) -> RevokedCertificate:
     )
 
 
-def _missing_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
+def missing_list_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
     """The place and the target of each missing link to the list."""
     for name in keystore.names():
         for link, target in layout.missing_links(keystore.root, name, layout.LIST_TARGET).items():

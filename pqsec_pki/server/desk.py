@@ -33,10 +33,11 @@ from pqsec_pki.keystore import (
     Keystore,
     Ledger,
     change,
+    files_elsewhere,
     layout,
     load_certificate,
 )
-from pqsec_pki.lifecycle import issue
+from pqsec_pki.lifecycle import fetch_files, issue
 from pqsec_pki.server.admission import Admission
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.factories import Factory
@@ -66,6 +67,7 @@ class Desk:
         """Issue the revocation list that is needed; whether one was. Errors as of `renew_list`."""
         if self.list_validity is None:
             return False
+        self._fetch_shared()
         return keep_list(self.keystore, self.authorities, self.list_validity, now=self.clock())
 
     def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
@@ -97,7 +99,9 @@ class Desk:
             with self.keystore.open_ledger() as ledger:
                 deciding = self._admission(ledger)
                 decided = [_decided(deciding, each) for each in calls]
-            admitted = [each for each in decided if isinstance(each, Admitted)]
+                admitted = [each for each in decided if isinstance(each, Admitted)]
+                again = [each.name for each in admitted if not each.spec]
+                elsewhere = self._fetched(ledger, again)
             self._record(admitted)
             failures = self._issue([each for each in admitted if each.spec])
             numbers = BundleNumbers.of(self.keystore)
@@ -105,6 +109,8 @@ class Desk:
                 each
                 if isinstance(each, SignerAnswer)
                 else self._answered(call, each, failures, numbers)
+                if each.spec or each.name not in elsewhere
+                else _refused(_misdirected(each.name))
                 for call, each in zip(calls, decided, strict=True)
             ]
 
@@ -167,9 +173,11 @@ class Desk:
         return _guarded(lambda: self._certificate(admitted.name, note))
 
     def _certificate(self, name: str, note: str) -> SignerAnswer:
-        path = self.keystore.root / layout.enclave_folder(name) / layout.CERTIFICATE
-        body = to_base64(certs_only([load_certificate(path)]))
+        body = to_base64(certs_only([load_certificate(self._certificate_path(name))]))
         return SignerAnswer(status=200, body=body, media_type=PKCS7, note=note)
+
+    def _certificate_path(self, name: str) -> Path:
+        return self.keystore.root / layout.enclave_folder(name) / layout.CERTIFICATE
 
     def _bundle(self, name: str, numbers: BundleNumbers, note: str = "") -> SignerAnswer:
         now = self.clock()
@@ -194,12 +202,37 @@ class Desk:
         return SignerAnswer(status=200, body=body, media_type=CSRATTRS)
 
     def _own_bundle(self, call: SignerCall) -> SignerAnswer:
-        holder = self._holder(call)
-        if not self.keystore.has(holder.name):
-            raise NotAdmittedError(404, f"{holder.name} has no files here")
+        with self.keystore.open_ledger() as ledger:
+            holder = self._admission(ledger).holder_of(call)
+            elsewhere = self._fetched(ledger, [holder.name])
+            newest = ledger.of_name("participant", holder.name)[-1].sha256
+        if elsewhere or self._here(holder.name) != newest:
+            raise _misdirected(holder.name)
         return self._bundle(holder.name, BundleNumbers.of(self.keystore))
 
+    def _here(self, name: str) -> str:
+        """The SHA-256 of the participant's certificate in the keystore; empty if it has none."""
+        path = self._certificate_path(name)
+        return load_certificate(path).fingerprint if exists(path) else ""
+
+    def _fetched(self, ledger: Ledger, names: Sequence[str]) -> set[str]:
+        """Get what other servers with this ledger wrote: what all share, and these participants.
+
+        Returns the names of those whose files only another server has.
+        """
+        if not files_elsewhere(self.keystore, ledger, names):
+            return set()
+        fetch_files(self.keystore, self.authorities, names)
+        return {each.name for each in files_elsewhere(self.keystore, ledger, names) if each.name}
+
+    def _fetch_shared(self) -> None:
+        """Get the revocation list and the governance that another server with this ledger wrote."""
+        if self.keystore.ledger_address:
+            with self.keystore.open_ledger() as ledger:
+                self._fetched(ledger, [])
+
     def _revocation_list(self, _call: SignerCall) -> SignerAnswer:
+        self._fetch_shared()
         return _file(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
 
     def _head(self, _call: SignerCall) -> SignerAnswer:
@@ -235,11 +268,23 @@ def _guarded(answer: Callable[[], SignerAnswer]) -> SignerAnswer:
     try:
         return answer()
     except NotAdmittedError as error:
-        return SignerAnswer(status=error.status, detail=str(error), retry_after=error.retry_after)
+        return _refused(error)
     except (MalformedError, VerificationError) as error:
         return SignerAnswer(status=HTTPStatus.BAD_REQUEST, detail=str(error))
     except PqsecError as error:
         return _failed(error)
+
+
+def _refused(error: NotAdmittedError) -> SignerAnswer:
+    return SignerAnswer(status=error.status, detail=str(error), retry_after=error.retry_after)
+
+
+def _misdirected(name: str) -> NotAdmittedError:
+    """The refusal of what only another server with the same ledger can answer."""
+    return NotAdmittedError(
+        HTTPStatus.MISDIRECTED_REQUEST,
+        f"this server has not the newest files of {name}: ask another",
+    )
 
 
 def _failed(error: PqsecError) -> SignerAnswer:

@@ -11,12 +11,9 @@ def keep_list(
 ) -> bool:
     """Issue a list if there is none, or less than a third of it is left; whether it was issued.
 
-    Robots get it with their documents, and their stacks refuse everybody when it has ended. Never
-    with a ledger of several machines: robots would take the list of one for older than that of the
-    other. Errors as of `renew_list`.
+    Robots get it with their documents, and their stacks refuse everybody when it has ended. Errors
+    as of `renew_list`.
     """
-    if keystore.ledger_address:
-        return False
     found = keystore.revocation_list
     end = found.next_update if found else None
     if found and end and State.at(now, found.this_update, end, None) is State.VALID:

@@ -111,13 +111,13 @@ def test_without_the_tables_it_is_said_how_they_are_made(cluster, tmp_path):
 def test_tables_are_made_once_and_brought_up_to_date(first, cluster, database, monkeypatch):
     cluster.sql(schema_sql([WRITER]), database)
     newer = "ALTER TABLE pqsec.ledger ADD COLUMN remark text;\n"
-    monkeypatch.setattr(_postgres_schema, "_FORMATS", (_postgres_schema._FORMAT_1, newer))
-    monkeypatch.setattr(_postgres_schema, "FORMAT", 2)
+    monkeypatch.setattr(_postgres_schema, "_FORMATS", (*_postgres_schema._FORMATS, newer))
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 3)
     with pytest.raises(KeystoreError, match="made by an older pqsec"):
         first.lines()
     cluster.sql(schema_sql([WRITER]), database)
     assert len(first.lines()) == 5
-    monkeypatch.setattr(_postgres_schema, "FORMAT", 1)
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 2)
     with pytest.raises(KeystoreError, match="made by another version of pqsec"):
         first.lines()
 

@@ -4,12 +4,14 @@ import base64
 import http.client
 import json
 import os
+import shutil
 import signal
 import socket
 import subprocess
 import sys
 import time
 from contextlib import contextmanager, suppress
+from copy import copy
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
@@ -67,20 +69,32 @@ class Reply(NamedTuple):
 class Server:
     """`pqsec serve` in a folder, with the clock of the machine."""
 
-    def __init__(self, folder, now, profile="pq", **settings):
-        self.folder, self.port, self.status_port = folder, free_port(), free_port()
-        self.root, self.config = folder / "k", folder / "serve.yaml"
-        self.create(profile, now)
+    def __init__(self, folder, now, profile="pq", *, robots=3, **settings):
+        self._in(folder)
+        self.create(profile, now, robots)
         pairs = [certificate(kind, since=now) for kind in ("ml-dsa-65", "ecdsa-p256")]
         for number, (chain, key) in enumerate(pairs):
             (folder / f"{number}.pem").write_bytes(chain)
             (folder / f"{number}.key").write_bytes(key)
         self.configure(**settings)
-        self.process = None
 
-    def create(self, profile, now):
+    def _in(self, folder):
+        self.folder, self.port, self.status_port = folder, free_port(), free_port()
+        self.root, self.config, self.process = folder / "k", folder / "serve.yaml", None
+
+    def second(self, folder, **settings):
+        """A second server: with a copy of everything, or of all but the keystore that is named."""
+        made = copy(self)
+        shutil.copytree(self.folder, folder, symlinks=True)
+        made._in(folder)
+        made.root = Path(settings.get("keystore", made.root))
+        made.configure(**settings)
+        return made
+
+    def create(self, profile, now, robots=3):
         """Make the domain and its keystore."""
-        (self.folder / "domain.yaml").write_text(DOMAIN.format(profile=profile))
+        domain = DOMAIN.format(profile=profile).replace("1..3", f"1..{robots}")
+        (self.folder / "domain.yaml").write_text(domain)
         desired = read_domain(self.folder / "domain.yaml")
         create_keystore(desired, self.root, passphrase=None, now=now)
         self.cli("apply", "domain.yaml", "--yes", check=False)

@@ -6,6 +6,7 @@ from itertools import product
 import pytest
 
 from pqsec_pki.access import CYCLONEDDS, FASTDDS, INTERPRETATIONS, Action, Question, decide
+from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.matrix import DocumentOwner, topics_named, who_may
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Governance, Permissions
 from tests.interop.policies import TOPICS, Maker
@@ -129,6 +130,71 @@ def test_the_matrix_is_what_the_engine_decides_one_by_one(interpretation, seed):
             )
             decision = decide(governance, each.permissions, question, interpretation)
             assert decision.allowed is (each.name in names), (row, question, decision)
+
+
+OPEN_JOIN = with_rule(enable_join_access_control=False)
+LATE = {
+    "not_before": datetime(2030, 1, 1, tzinfo=UTC),
+    "not_after": datetime(2031, 1, 1, tzinfo=UTC),
+}
+VARIANTS = {
+    "deny": ([deny("x")], {}),
+    "domains": ([allow("x", domains=DomainSet.of(7))], {}),
+    "partitions": ([allow("x", partitions=("p",))], {}),
+    "tags": ([deny("x", tags=(("k", "v"),)), allow("x")], {}),
+    "subscribe": ([allow("x", publish=(), subscribe=(Criteria(topics=("x",)),))], {}),
+    "relay": ([allow("x", publish=(), relay=(Criteria(topics=("x",)),))], {}),
+    "default": ([allow("x")], {"default": DefaultAction.ALLOW}),
+    "ended": ([allow("x")], LATE),
+    "two rules": ([deny("x"), allow("x")], {}),
+    "another order": ([allow("x"), deny("x")], {}),
+    "two criteria": (
+        [allow("x", publish=(Criteria(topics=("y",), partitions=("p",)), Criteria(topics=("x",))))],
+        {},
+    ),
+    "an empty topic": ([allow("x", "")], {}),
+}
+
+
+@pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
+@pytest.mark.parametrize("governance", [STRICT, OPEN_JOIN], ids=["strict", "open join"])
+def test_grants_that_differ_in_more_than_topics_are_decided_apart(governance, interpretation):
+    """One decision counts for all participants whose grants differ only in topics."""
+    members = [
+        member(f"/{turn}{name}", *rules, **more)
+        for turn in (0, 1)
+        for name, (rules, more) in (("plain", ([allow("x")], {})), *VARIANTS.items())
+    ]
+    for them in (members, members[::-1]):
+        found = who_may(
+            governance, them, ["x", "y"], domain=0, now=NOW, interpretation=interpretation
+        )
+        for row, each in product(found, them):
+            for action, names in (
+                (Action.PUBLISH, row.publishers),
+                (Action.SUBSCRIBE, row.subscribers),
+            ):
+                question = Question(
+                    subject=each.subject, domain=0, action=action, topic=row.topic, now=NOW
+                )
+                decision = decide(governance, each.permissions, question, interpretation)
+                assert decision.allowed is (each.name in names), (row.topic, each, decision)
+
+
+def test_a_fleet_of_alike_participants_is_asked_once(monkeypatch):
+    asked = []
+    uses = InterpretedPolicy.uses
+
+    def counted(policy, join, topics):
+        asked.append(topics)
+        return uses(policy, join, topics)
+
+    monkeypatch.setattr(InterpretedPolicy, "uses", counted)
+    fleet = [member(f"/r{number}", allow(f"pose{number}", "stop")) for number in range(50)]
+    found = rows(*fleet)
+    assert found["stop"] == (tuple(each.name for each in fleet), ())
+    assert found["pose7"] == (("/r7",), ())
+    assert len(asked) == 2  # what its criteria cover, and another topic
 
 
 def test_a_document_with_several_grants_is_asked_for_its_subject():
