@@ -77,6 +77,7 @@ COMMANDS = {
         "permissions",
         "Write and convert permissions documents in YAML, and import SROS2 policies.",
     ),
+    "schema": ("schema", "Write the JSON Schema of a file, for editors."),
     "sign-governance": ("sign", "Check a governance document against its schema, and sign it."),
     "sign-permissions": ("sign", "Check a permissions document against its schema, and sign it."),
     "validate": ("validate", "Check governance and permissions documents against their schemas."),
@@ -127,7 +128,9 @@ GROUPS = {
         "request bundle-key bundle install rollback enrol receipt sign-request ra serve"
         " enrolment-token requests"
     ),
-    "Write and sign policies": ("governance permissions sign-governance sign-permissions validate"),
+    "Write and sign policies": (
+        "governance permissions schema sign-governance sign-permissions validate"
+    ),
     "Check and explain": (
         "check report verify verify-handshake explain who-may diff cbom migrate inspect bench"
         " estimate profiles algorithms"

@@ -1,4 +1,4 @@
-"""The commands that governance and permissions documents both have: render, read and schema."""
+"""The commands that governance and permissions documents both have: render and read."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -7,7 +7,6 @@ from typing import Generic, Protocol, TypeVar
 import click
 
 from pqsec_pki import _files
-from pqsec_pki._assets import asset
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.cli import _help, _settings
 from pqsec_pki.cli._policy import output_options, put
@@ -35,9 +34,9 @@ class DocumentCommands(Generic[Value]):
     warn: Callable[[Value], None] = lambda _: None
 
     def add_to(self, group: click.Group) -> None:
-        """Add render, read and schema to the group with the document's name."""
+        """Add render and read to the group with the document's name."""
         name = str(group.name)
-        for command in (self._render(name), self._read(name), schema_command(name)):
+        for command in (self._render(name), self._read(name)):
             group.add_command(command)
 
     def _render(self, name: str) -> click.Command:
@@ -91,22 +90,3 @@ class DocumentCommands(Generic[Value]):
             put(document, output, force=force)
 
         return read
-
-
-def schema_command(name: str) -> click.Command:
-    """`schema` of the group with that name."""
-
-    @_help.command(
-        examples={"Write the schema for an editor": f"pqsec {name} schema -o {name}.schema.json"},
-        exit_codes={
-            0: "the schema is written",
-            3: "the file exists, or cannot be written",
-        },
-    )
-    @output_options
-    @_settings.command_options
-    def schema(output: Path | None, *, force: bool) -> None:
-        """Write the JSON Schema of the YAML, for editors."""
-        put(asset("schemas", f"{name}.schema.json").read_bytes(), output, force=force)
-
-    return schema

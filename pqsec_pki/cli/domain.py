@@ -7,7 +7,6 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.cli import _help, _policy, _printing, _settings
-from pqsec_pki.cli._document_commands import schema_command
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.domain import Imported, import_domain
 
@@ -16,9 +15,6 @@ from pqsec_pki.domain import Imported, import_domain
 @_settings.command_options
 def domain() -> None:
     """Write a domain file from keystores and policies."""
-
-
-domain.add_command(schema_command("domain"))
 
 
 @domain.command(

@@ -26,6 +26,8 @@ from pqsec_pki.lint.rule import Finding, Violation
 FILE_NAME = ".pqsec-check.yaml"
 MAX_FILE = 256 << 10
 """Bytes. A thousand suppressions are 100 kB."""
+_NOTHING = {"null", "~"}
+_DAY = re.compile("[0-9]{4}-[0-9]{2}-[0-9]{2}")
 _REMARKS = re.compile(rb"(?m)^[ \t]*#.*$")
 
 
@@ -127,17 +129,17 @@ def _entry(item: Item) -> Suppression:
 
 def _words(item: Item) -> str:
     """The text as it is written: a date or a number needs no quotes."""
-    if not isinstance(item, Text):
+    if not isinstance(item, Text) or (item.plain and item.text in _NOTHING):
         raise refused(item, "must be plain text")
     return item.text
 
 
 def _day(item: Item) -> date:
     words = _words(item)
-    try:
-        return date.fromisoformat(words)
-    except ValueError:
-        raise refused(item, f"{shown(words)!r} is not a date such as 2027-06-30") from None
+    with suppress(ValueError):
+        if _DAY.fullmatch(words):
+            return date.fromisoformat(words)
+    raise refused(item, f"{shown(words)!r} is not a date such as 2027-06-30")
 
 
 def _below(path: Path, folder: Path) -> str | None:

@@ -56,11 +56,11 @@ WITHOUT = {
     *("sign-request export", "sign-request import", "algorithms", "approve", "bench"),
     *(f"plugin {each}" for each in ("install", "status", "uninstall")),
     *("agent log", "agent run", "agent status", "agent stop", "uninstall"),
-    *("domain schema", "ledger schema", "serve"),
+    *("schema", "ledger schema", "serve"),
     *(f"enrolment-token {each}" for each in ("create", "list", "revoke")),
     *(f"requests {each}" for each in ("approve", "list", "refuse")),
-    *(f"governance {each}" for each in ("new", "presets", "read", "render", "schema")),
-    *(f"permissions {each}" for each in ("import", "new", "read", "render", "schema")),
+    *(f"governance {each}" for each in ("new", "presets", "read", "render")),
+    *(f"permissions {each}" for each in ("import", "new", "read", "render")),
 }
 """They are given no keystore."""
 

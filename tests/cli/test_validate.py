@@ -1,5 +1,7 @@
 """pqsec validate: documents against their schemas, whoever signed them."""
 
+import re
+
 import pytest
 
 from tests.cli.conftest import snapshot
@@ -129,3 +131,31 @@ def test_a_document_in_yaml_is_checked_too(pqsec, tmp_path):
     said = pqsec("validate open.yaml")
     assert said.code == 1
     assert said.out.startswith(f"open.yaml: line {number}: domain: no such key here; did you mean")
+
+
+@pytest.mark.parametrize(
+    ("kind", "new"),
+    [
+        ("domain", "plan --init f.yaml"),
+        ("serve", "serve --config f.yaml --init https://a.example:8443"),
+        ("governance", "governance new -o f.yaml"),
+        ("permissions", "permissions new /a -o f.yaml"),
+    ],
+)
+def test_each_kind_of_yaml_is_known_by_its_keys(pqsec, tmp_path, keystore, kind, new):
+    keystore()
+    pqsec(f"-k k {new}").done()
+    assert pqsec("validate f.yaml").done().out == f"f.yaml: valid {kind} document\n"
+    with (tmp_path / "f.yaml").open("a") as file:
+        file.write("unheard_of: 5\n")
+    said = pqsec("validate f.yaml")
+    assert said.code == 1
+    assert re.match("f.yaml: line [0-9]+: unheard_of: no such key here", said.out)
+
+
+def test_a_problem_of_a_file_that_the_domain_file_names_has_its_place(pqsec, tmp_path):
+    (tmp_path / "d.yaml").write_text("roles: {r: {publish: a}}\nparticipants:\n- csv: robots.csv\n")
+    (tmp_path / "robots.csv").write_text("name,role\n/a,r\n/a,s\n")
+    said = pqsec("validate d.yaml")
+    assert (said.code, said.out.partition(" ")[0]) == (1, "robots.csv:")
+    pqsec("validate d.yaml --json")

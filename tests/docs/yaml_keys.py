@@ -26,8 +26,9 @@ The value of a column is not a pattern: `*`, `?`, `[` and `\\` are allowed only 
 `values`."""
 _ABOUT = """The keys of governance and permissions ([Policies in YAML](../how-to/policies.md)) and
 of `domain.yaml` ([One file for a whole domain](../how-to/domain.md)), and of `serve.yaml`
-([Enrolment over a network](../how-to/network.md)). `pqsec governance schema`,
-`pqsec permissions schema` and `pqsec domain schema` print the schemas, for editors."""
+([Enrolment over a network](../how-to/network.md)). `pqsec schema` prints the schemas, also those
+of `.pqsec-check.yaml` and [`pqsec.toml`](plugin.md#what-the-plugin-requires), for editors
+([how](../how-to/editors.md))."""
 
 
 def parts() -> Iterator[str]:
@@ -56,6 +57,13 @@ def parts() -> Iterator[str]:
     yield from ("## The server's configuration", table(_HEADS, _keys(serve, serve)))
     yield from ("### A factory", table(_HEADS, _keys(serve, serve["$defs"]["factory"])))
     yield from ("### Limits", table(_HEADS, _keys(serve, serve["$defs"]["limits"])))
+    check, plugin = map(_schema, ("check", "plugin"))
+    (accepted,) = (each["items"] for each in check["properties"].values())
+    yield from (
+        "## An item of `ignore` in .pqsec-check.yaml",
+        table(_HEADS, _keys(check, accepted)),
+    )
+    yield from ("## The plugin's pqsec.toml", table(_HEADS, _keys(plugin, plugin)))
 
 
 _HEADS = ("Key", "Meaning", "Values")
