@@ -117,11 +117,13 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching
     from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
     from pqsec_pki.keystore.registering import (
+        ORDER,
         Registration,
         enrolled_by,
         grant_end_entry,
         grant_entry,
         order_entry,
+        order_in,
         predates_approvals,
         registration,
         registrations,
@@ -151,6 +153,7 @@ __all__ = [
     "GENERATIONS",
     "GROUP",
     "GROUP_NAME",
+    "ORDER",
     "PERMITTED",
     "PLAN",
     "PUBLIC_FILES",
@@ -216,6 +219,7 @@ __all__ = [
     "matching",
     "moved_entry",
     "order_entry",
+    "order_in",
     "overview_of",
     "participant_states",
     "policy_entry",

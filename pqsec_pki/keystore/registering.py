@@ -127,6 +127,17 @@ def order_entry(order: EnrolmentOrder, authority: str, now: datetime) -> Entry:
     )
 
 
+def order_in(entry: Entry) -> EnrolmentOrder:
+    """The order in a line of that kind; KeystoreError if that is damaged."""
+    try:
+        found = EnrolmentOrder.from_file(str(entry.details.get(_STATEMENT, "")).encode())
+    except MalformedError as error:
+        raise _damaged(entry, str(error)) from error
+    if found.digest != entry.sha256:
+        raise _damaged(entry, "it has another order")
+    return found
+
+
 def registrations(keystore: Keystore) -> list[Registration]:
     """All grants of the ledger, oldest first; KeystoreError if a line is damaged."""
     with keystore.open_ledger() as ledger:

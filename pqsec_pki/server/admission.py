@@ -20,10 +20,13 @@ from pqsec_pki.domain import Desired, Member
 from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.keystore import (
+    ORDER,
+    Entry,
     Keystore,
     Ledger,
     ParticipantState,
     key_hashes,
+    order_in,
     participant_states,
     policy_of,
 )
@@ -43,8 +46,11 @@ from pqsec_pki.server.waiting import WaitingRoom
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
 """The name of an admission by somebody who approved the request."""
+_ORDERED = "an order"
+"""What admits a request that a registration authority ordered."""
 _DEVICE = "device"
 """The begin of the name of an admission by a factory's certificate."""
+_BY_ORDER = "is enrolled by a registration authority's order, and none has this request"
 _NEW_KEY = "make a new one for it"
 _NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
 
@@ -75,19 +81,23 @@ class Admission:
         holder = self._holder(call)
         request = _request_in(call.body)
         name = name_asked_for(request)
-        if holder.by == "":
+        ordered = name is not None and self._was_ordered(name, request)
+        if holder.by == "" and not ordered:
             raise NotAdmittedError(401, _NO_CREDENTIAL)
         if name is None:
             raise NotAdmittedError(403, f"the request is refused: {NAMELESS}")
         holder.refuse_other_name(name)
         member = self._member(name, call.label)
+        held = self._held(name)
+        if ordered:
+            _refuse_revoked(held)
+            return Admitted(name, _ORDERED)
         if holder.device:
             holder = self._identified(holder.device, member, request, call)
         if self._was_answered(name, request, holder):
             return Admitted(name, holder.by)
-        held = self._held(name)
-        if member.by_order and held is None:
-            raise NotAdmittedError(403, f"{name} is enrolled by a registration authority's order")
+        if member.by_order and (held is None or self._by_plan):
+            raise NotAdmittedError(403, f"{name} {_BY_ORDER}")
         keys = _keys(request, name, self.keystore.profile)
         hashes = key_hashes(keys.key, keys.alternative)
         self._refuse_used(holder, name)
@@ -230,6 +240,23 @@ class Admission:
         lines = self.ledger.of_name("participant", name)
         return [each.details.get("request", "") for each in lines]
 
+    def _was_ordered(self, name: str, request: CertificateRequest) -> bool:
+        """Whether the newest certificate is what a registration authority ordered for the request.
+
+        Then the order admits whoever sends the request, which is for its key: nothing is issued,
+        and every handshake shows what is answered.
+        """
+        line = self._orders.get("".join(self._requests_of(name)[-1:]))
+        wanted = (name, request.fingerprint)
+        return line is not None and wanted in {
+            (each.name, each.request) for each in order_in(line).items
+        }
+
+    @cached_property
+    def _orders(self) -> dict[str, Entry]:
+        """The orders that were performed, by their digests."""
+        return {each.sha256: each for each in self.ledger.of_kind(ORDER)}
+
     def _was_answered(self, name: str, request: CertificateRequest, holder: Requester) -> bool:
         """Whether the newest certificate answers this request, and may be given to this holder.
 
@@ -259,10 +286,9 @@ class Admission:
 
     def _refuse_state(self, held: ParticipantState | None, holder: Requester, keys: str) -> None:
         """NotAdmittedError if this participant may not have a new certificate now."""
+        _refuse_revoked(held)
         if held is None:
             return
-        if held.revoked:
-            raise NotAdmittedError(403, f"{held.name} was revoked")
         if holder.by == _APPROVED:
             return  # who approved it saw that it replaces a certificate
         if holder.device is not None:
@@ -283,6 +309,11 @@ class Admission:
             raise NotAdmittedError(
                 403, f"its certificate is not due: it ends {said(held.not_after)}"
             )
+
+
+def _refuse_revoked(held: ParticipantState | None) -> None:
+    if held and held.revoked:
+        raise NotAdmittedError(403, f"{held.name} was revoked")
 
 
 def _request_in(der: bytes) -> CertificateRequest:

@@ -97,3 +97,56 @@ def test_a_refused_request_stays_refused(server, tmp_path):
     decided(server, "refuse", robot.request)
     reply = server.ask(robot.request, token=token)
     assert (reply.status, reply.detail) == (403, "the request was refused")
+
+
+@pytest.fixture(scope="module")
+def ordering(tmp_path_factory):
+    """A server whose keystore has performed orders for two robots."""
+    folder = tmp_path_factory.mktemp("ordering")
+    made = Server(folder, datetime.now(UTC), "classical", renew="any-time")
+    domain = folder / "domain.yaml"
+    domain.write_text(domain.read_text() + "  - {name: /revoked, role: robot, order: orders/}\n")
+    make_key(folder, "line")
+    granted = "--allow-name /ordered --allow-name /revoked --role robot --max-count 2 --validity 9d"
+    made.cli("ra", "add", "line", "--key", "line.pub.pem", *granted.split())
+    (folder / "orders").mkdir()
+    made.robots = {name: Robot(made, folder / name, f"/{name}") for name in ("ordered", "revoked")}
+    with made.running():
+        for name, robot in made.robots.items():
+            reply = made.ask(robot.request, token=made.token(f"/{name}"))
+            assert (reply.status, "authority's order" in reply.detail) == (403, True)
+            (folder / f"{name}.csr").write_bytes(robot.request.pem)
+            made.cli(
+                *("sign-request", "export", f"{name}.csr", "--grant", "line.grant"),
+                *("--key", "line.pem", "-o", f"orders/{name}.order"),
+            )
+        made.cli("apply", "--yes", check=False)
+        yield made
+
+
+def test_the_ordered_request_gets_what_the_order_issued(ordering, tmp_path):
+    """With a token it got a second certificate, beside that of the order."""
+    robot, lines = ordering.robots["ordered"], len(ordering.keystore.ledger())
+    token = ordering.token("/ordered")
+    for shown in (None, token):
+        reply = ordering.ask(robot.request, token=shown)
+        assert (reply.status, len(ordering.keystore.ledger())) == (200, lines + 1)
+    bundle = Bundle.from_bytes(reply.body)
+    assert bundle.sha256 == ordering.bundle("/ordered").sha256
+    other = Robot(ordering, tmp_path, "/ordered").request
+    assert [ordering.ask(other, token=each).status for each in (None, token)] == [401, 409]
+    identity = robot.identity(bundle)
+    assert ordering.send("GET", "/pqsec/v1/bundle", identity=identity).status == 200
+    first, second = robot.request, robot.new()
+    assert ordering.ask(second, identity=identity).status == 200
+    assert ordering.ask(first).status == 401
+    identity = robot.identity(ordering.bundle("/ordered"))
+    assert ordering.ask(robot.new(), identity=identity).status == 200
+
+
+def test_what_was_ordered_and_revoked_is_given_to_nobody(ordering):
+    request = ordering.robots["revoked"].request
+    assert ordering.ask(request).status == 200
+    ordering.cli("revoke", "/revoked", "--yes")
+    reply = ordering.ask(request)
+    assert (reply.status, reply.detail) == (403, "/revoked was revoked")
