@@ -1,5 +1,6 @@
 """pqsec requests: decide about robots that asked the server without a token."""
 
+from collections.abc import Collection, Sequence
 from pathlib import Path
 
 import click
@@ -14,6 +15,7 @@ from pqsec_pki.server import (
     decide,
     demanded,
     read_settings,
+    replacing,
 )
 
 _config = click.option(
@@ -39,7 +41,7 @@ def requests() -> None:
     exit_codes={
         0: "the requests are listed",
         1: "the configuration is not valid",
-        3: "the server's folder cannot be read",
+        3: "the server's folder or the keystore cannot be read",
     },
 )
 @_config
@@ -48,9 +50,13 @@ def list_(file: Path) -> None:
     """List the requests that wait, oldest first.
 
     Compare the SHA-256 with what the robot shows (`pqsec inspect request.csr`): anybody can send
-    a request, for any name.
+    a request, for any name. REPLACES is `its key` if the participant has a certificate for another
+    key, which an approval replaces.
     """
-    _print(read_settings(file).room.all(), "")
+    settings = read_settings(file)
+    found = settings.room.all()
+    replaced = replacing(Keystore.open(settings.keystore), found, now=_settings.now())
+    _print(found, replaced, "")
 
 
 @requests.command(
@@ -72,6 +78,7 @@ def list_(file: Path) -> None:
 def approve(ids: tuple[str, ...], file: Path) -> None:
     """Approve requests. If the robot has a certificate for another key, it is replaced.
 
+    Other requests for the same name are dropped; they wait again if their robots ask again.
     SHA256 are 8 or more digits of the request's SHA-256. The ledger gets the decision, with who
     made it. Where rights that grow need approvals, the requests are put where the domain file names
     them, for `pqsec plan`, and the robots get what the approved plan issues.
@@ -101,8 +108,10 @@ def refuse(ids: tuple[str, ...], file: Path) -> None:
 def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
     settings = read_settings(file)
     keystore = Keystore.open(settings.keystore, to_change=True)
-    done = decide(keystore, settings, ids, kind, now=_settings.now())
-    _print(done, "approved" if kind == APPROVAL else "refused")
+    now = _settings.now()
+    done = decide(keystore, settings, ids, kind, now=now)
+    replaced = replacing(keystore, done, now=now)
+    _print(done, replaced, "approved" if kind == APPROVAL else "refused")
     if kind == APPROVAL and (words := demanded(keystore.approvals)):
         _printing.note(
             f"{words}: now `pqsec plan {settings.domain} -o plan.json --key KEY` (--new-keys, if a"
@@ -110,8 +119,13 @@ def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
         )
 
 
-def _print(found: list[WaitingRequest], word: str) -> None:
-    rows = [(each.name, each.sha256, each.address, said(each.received), word) for each in found]
-    heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "")
+def _print(found: Sequence[WaitingRequest], replaced: Collection[str], word: str) -> None:
+    rows, values = [], []
+    for each in found:
+        replaces = each.sha256 in replaced
+        key = "its key" if replaces else ""
+        rows.append((each.name, each.sha256, each.address, said(each.received), key, word))
+        values.append({**each.to_json(), "replaces": replaces})
+    heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "REPLACES", "")
     lines = _printing.table(heads, rows) if rows else ["no request waits"]
-    _printing.emit({"requests": [each.to_json() for each in found]}, lines)
+    _printing.emit({"requests": values}, lines)

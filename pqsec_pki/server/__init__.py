@@ -17,7 +17,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.server.beginning import begin_server
     from pqsec_pki.server.configuration import ServerSettings, read_settings
-    from pqsec_pki.server.deciding import APPROVAL, REFUSAL, decide, demanded
+    from pqsec_pki.server.deciding import APPROVAL, REFUSAL, decide, demanded, replacing
     from pqsec_pki.server.listening import run_front
     from pqsec_pki.server.running import run_both, run_signer
     from pqsec_pki.server.token_lines import (
@@ -41,6 +41,7 @@ __all__ = [
     "demanded",
     "read_settings",
     "record_token",
+    "replacing",
     "revoke_tokens",
     "run_both",
     "run_front",

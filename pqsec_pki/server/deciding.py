@@ -5,14 +5,15 @@ people, an approved request becomes the one that the domain file names: the next
 the certificate is issued when that is applied.
 """
 
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 
 from pqsec_pki.approvals import ApprovalPolicy, Covered
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain import deliver_request, read_domain
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import Entry, Keystore, Ledger, change
+from pqsec_pki.keystore import Entry, Keystore, Ledger, change, participant_states
 from pqsec_pki.server.configuration import ServerSettings
 from pqsec_pki.server.waiting import WaitingRequest
 
@@ -45,17 +46,36 @@ def decide(
 ) -> list[WaitingRequest]:
     """Enter the decision on these requests, all or none, which then wait no more.
 
-    Errors as of `WaitingRoom.named`, and, where approvals are demanded, of `deliver_request`.
+    If one is approved, others for its name wait no more either. UsageError for two of one name.
+    Other errors as of `WaitingRoom.named`, and, where approvals are demanded, of `deliver_request`.
     """
     room = settings.room
     chosen = {each.sha256: each for each in map(room.named, ids)}.values()
+    names = Counter(each.name for each in chosen)
+    if kind == APPROVAL and (several := [name for name, count in names.items() if count > 1]):
+        raise UsageError(f"approve one request for {', '.join(several)}: the last would replace it")
     with change(keystore.root) as transaction:
         if kind == APPROVAL and demanded(keystore.approvals):
             _deliver(chosen, settings)
         transaction.record(*(_entry(each, kind, now) for each in chosen))
-    for each in chosen:
-        room.remove(each.sha256)
+    done = {each.sha256 for each in chosen}
+    for each in room.all():
+        if each.sha256 in done or (kind == APPROVAL and each.name in names):
+            room.remove(each.sha256)
     return list(chosen)
+
+
+def replacing(
+    keystore: Keystore, found: Sequence[WaitingRequest], *, now: datetime
+) -> frozenset[str]:
+    """The SHA-256 of those that ask for another key than their participant has."""
+    names = {each.name for each in found}
+    with keystore.open_ledger() as ledger:
+        states = participant_states(keystore, ledger, names, now=now)
+        keys = {each.name: each.keys for each in states}
+    return frozenset(
+        each.sha256 for each in found if each.name in keys and each.keys != keys[each.name]
+    )
 
 
 def _deliver(chosen: Iterable[WaitingRequest], settings: ServerSettings) -> None:

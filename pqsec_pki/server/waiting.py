@@ -14,6 +14,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, exists, read, write
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import MalformedError, UsageError, located, shown
+from pqsec_pki.keystore import key_hashes
 
 MOST_OF_NAME = 3
 LIFETIME = timedelta(days=30)
@@ -31,6 +32,11 @@ class WaitingRequest:
     address: str
     received: datetime
     request: CertificateRequest = field(repr=False)
+
+    @property
+    def keys(self) -> str:
+        """Hashes of the keys that it asks for, as in the ledger."""
+        return key_hashes(self.request.public_key, self.request.alternative_key)
 
     def to_json(self) -> dict[str, object]:
         """The request for --json."""

@@ -191,9 +191,9 @@ def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
         assert (reply.status, reply.headers["retry-after"]) == (202, "60")
         assert robot.request.fingerprint in reply.body.decode()
     head = asking.keystore.head
-    assert (
-        robot.request.fingerprint in asking.cli("requests", "list", "--config", "serve.yaml").stdout
-    )
+    listed = json.loads(asking.cli("requests", "list", "--config", "serve.yaml", "--json").stdout)
+    [waits] = listed["requests"]
+    assert (waits["sha256"], waits["replaces"]) == (robot.request.fingerprint, False)
     assert asking.keystore.head == head
     assert decided(asking, "approve", robot.request) == [robot.request.fingerprint]
     replies = [asking.ask(robot.request) for _ in range(2)]
@@ -201,8 +201,23 @@ def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
     assert replies[0].headers["etag"] == replies[1].headers["etag"]
     told = asking.cli("requests", "list", "--config", "serve.yaml").stdout
     assert told == "no request waits\n"
-    other = robot.new()
-    assert asking.ask(other).status == 202
+    others = [robot.new() for _ in range(2)]
+    assert [asking.ask(each).status for each in others] == [202, 202]
+    told = asking.cli("requests", "list", "--config", "serve.yaml")
+    assert told.stdout.count("  its key\n") == 2
+    refused = asking.cli(
+        "requests",
+        "approve",
+        *(each.fingerprint for each in others),
+        *("--config", "serve.yaml"),
+        check=False,
+    )
+    assert (refused.returncode, "one request for /fleet/r1" in refused.stderr) == (2, True)
+    stays, other = others
+    assert decided(asking, "approve", stays) == [stays.fingerprint]
+    told = asking.cli("requests", "list", "--config", "serve.yaml").stdout
+    assert told == "no request waits\n"  # the other would replace what is approved
+    assert [asking.ask(each).status for each in (stays, other)] == [200, 202]
     assert decided(asking, "refuse", other) == [other.fingerprint]
     reply = asking.ask(other)
     assert (reply.status, reply.detail) == (403, "the request was refused")
