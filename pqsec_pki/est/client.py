@@ -38,6 +38,8 @@ _LONGEST_WORDS = 300
 _LATER = (HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS)
 _ANOTHER = (HTTPStatus.MISDIRECTED_REQUEST, HTTPStatus.SERVICE_UNAVAILABLE)
 """What another of the servers may answer better."""
+ASKING_FAILS = (OSError, SSL.Error, HTTPException, UnicodeError)
+"""What sockets, TLS and http.client raise when there is no answer."""
 MOST_PLACES = 4
 """Addresses of one name that are tried, one after the other."""
 _Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
@@ -121,7 +123,7 @@ class EstClient:
         try:
             connection.request(method, path, body, {**self._headers, **headers})
             return self._answer(connection.getresponse())
-        except (OSError, SSL.Error, HTTPException, UnicodeError) as error:
+        except ASKING_FAILS as error:
             raise self._unanswered(error) from None
         finally:
             connection.end()

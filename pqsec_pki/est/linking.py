@@ -27,7 +27,7 @@ def verify_est_request(
     It has a challenge password that is not of the connection; or it `renews` the client's
     certificate, and asks for other names.
     """
-    given, due = request.challenge_password, base64.b64encode(_binding(connection))
+    given, due = request.challenge_password, base64.b64encode(channel_binding(connection))
     if given is not None and not hmac.compare_digest(given, due):
         raise VerificationError(
             "the challenge password of the request is not the channel binding of this connection"
@@ -48,7 +48,8 @@ def _alternative_names(extensions: x509.Extensions) -> x509.SubjectAlternativeNa
         return None
 
 
-def _binding(connection: SSL.Connection) -> bytes:
+def channel_binding(connection: SSL.Connection) -> bytes:
+    """Octets that both ends of this connection have, and no other connection."""
     if connection.get_protocol_version() >= SSL.TLS1_3_VERSION:
         return connection.export_keying_material(_LABEL, _OCTETS, b"")
     # The first Finished message of a handshake, which is the client's: nothing is resumed.

@@ -76,7 +76,7 @@ class SignerCall:
     def of(cls, header: dict[str, Any], body: bytes) -> "SignerCall":
         """The call; MalformedError if it is not one."""
         try:
-            texts = {key: str(header[key]) for key in ("label", "address", "token", "secret")}
+            texts = {key: _ascii(header[key]) for key in ("label", "address", "token", "secret")}
             certificate = base64.b64decode(header["certificate"], validate=True)
             chain = tuple(base64.b64decode(each, validate=True) for each in header["chain"])
             kind = CallKind(header["kind"])
@@ -122,6 +122,13 @@ class SignerAnswer:
             return cls(body=body, **header)
         except TypeError:
             raise MalformedError("not an answer of pqsec's signer") from None
+
+
+def _ascii(value: object) -> str:
+    """A text as the front sends it: clients send nothing else that it passes on as text."""
+    if not (isinstance(value, str) and value.isascii()):
+        raise ValueError("not a text of ASCII")
+    return value
 
 
 def packed(header: dict[str, Any], body: bytes) -> bytes:

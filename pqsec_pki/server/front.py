@@ -150,7 +150,7 @@ class Exchange:
         return asks and not told and self.request.path.startswith(f"{EST}/".encode())
 
     def _has(self, etag: str) -> bool:
-        given = self.request.requestHeaders.getRawHeaders("If-None-Match", [])
+        given = _header(self.request, "If-None-Match")
         return any(etag == each.strip() for line in given for each in line.split(","))
 
     def _headers(self, answer: SignerAnswer, body: bytes) -> list[tuple[str, str]]:
@@ -231,7 +231,7 @@ def _content(route: Route, request: LimitedRequest) -> bytes:
 
 def _credentials(request: LimitedRequest) -> tuple[str, str]:
     """The token's identifier and secret (RFC 7617); MalformedError for another scheme."""
-    given = request.requestHeaders.getRawHeaders("Authorization", [])
+    given = _header(request, "Authorization")
     if not given:
         return "", ""
     scheme, _, value = given[0].partition(" ")
@@ -246,8 +246,14 @@ def _credentials(request: LimitedRequest) -> tuple[str, str]:
 
 
 def _media_type(request: LimitedRequest) -> str:
-    given = request.requestHeaders.getRawHeaders("Content-Type", [""])
-    return str(given[0]).partition(";")[0].strip().lower()
+    given = _header(request, "Content-Type") or [""]
+    return given[0].partition(";")[0].strip().lower()
+
+
+def _header(request: LimitedRequest, name: str) -> list[str]:
+    """The values of that header, which may have any octets (RFC 9110 5.5)."""
+    found = request.requestHeaders.getRawHeaders(name.encode(), [])
+    return [each.decode("latin-1") for each in found]
 
 
 def _media_type_of(answer: SignerAnswer) -> str:

@@ -8,7 +8,7 @@ from contextlib import suppress
 from typing import Any, NamedTuple
 
 from pqsec_pki.errors import PqsecError
-from tests.fuzz import bundles, files, messages, mutation, plugin
+from tests.fuzz import bundles, files, messages, mutation, plugin, server
 
 
 class Target(NamedTuple):
@@ -26,6 +26,6 @@ class Target(NamedTuple):
 
 TARGETS = {
     name: Target(*each)
-    for room in (messages, files, plugin, bundles)
+    for room in (messages, files, plugin, bundles, server)
     for name, each in room.TARGETS.items()
 }

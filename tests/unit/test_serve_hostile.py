@@ -30,6 +30,8 @@ LIMITS = {
     "requests_of_address": 60,
 }
 
+PEM_TYPE = b"Content-Type: application/x-pem-file\r\n"
+
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
@@ -113,6 +115,18 @@ def test_a_refused_request_that_is_complete_keeps_no_connection_open(server, sen
     with server.connect() as link:
         link.sendall(b"POST /pqsec/v1/requests HTTP/1.1\r\nHost: x\r\n" + sent)
         until(lambda: "pqsec_serve_connections 0\n" in server.page("/metrics", text=True))
+
+
+@pytest.mark.parametrize(
+    ("name", "status"), [(b"Authorization", 400), (b"Content-Type", 415), (b"If-None-Match", 415)]
+)
+def test_a_header_that_is_not_utf8_is_answered(server, name, status):
+    """Twisted's headers are UTF-8 for it: it raised, and the connection was lost."""
+    known = b"" if name == b"Content-Type" or status == 415 else PEM_TYPE
+    with server.connect() as link:
+        head = b"POST /pqsec/v1/requests HTTP/1.1\r\nHost: x\r\nConnection: close\r\n" + known
+        link.sendall(head + b"Content-Length: 1\r\n" + name + b": \xff\r\n\r\nx")
+        assert reply_in(received(link)).status == status
 
 
 def test_a_client_certificate_that_only_openssl_reads_is_refused_in_words(server):
