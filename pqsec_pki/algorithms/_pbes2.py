@@ -73,6 +73,8 @@ def encrypt(pkcs8: bytes, passphrase: bytes) -> bytes:
 
 def is_one(data: bytes) -> bool:
     """Whether `data` is a DER EncryptedPrivateKeyInfo, of any scheme."""
+    if not data.startswith(b"\x30"):  # as PEM
+        return False
     try:
         decode(EncryptedPrivateKeyInfo, data, "encrypted private key")
     except MalformedError:

@@ -4,9 +4,15 @@ import hashlib
 from collections.abc import Iterator
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, exists, read
+from pqsec_pki._files import disk_errors, read
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import FileError, PqsecError, VerificationError, located
+from pqsec_pki.errors import (
+    FileError,
+    MissingError,
+    PqsecError,
+    VerificationError,
+    located,
+)
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import START, Entry, Line, problems
 from pqsec_pki.keystore.anchoring import head_problems, ledger_tree, read_anchors
@@ -59,10 +65,10 @@ def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
     trusted = trusted_last(entries)
     with disk_errors(keystore.root):
         for path, kind, name in _issued(keystore):
-            if not exists(path):
-                continue
             try:
                 hashes = _hashes(path)
+            except MissingError:
+                continue
             except FileError:
                 raise  # an unreadable file may still be right
             except PqsecError as error:

@@ -42,9 +42,9 @@ def _in_keystore(
         if governance.path not in governed:  # enclaves share it
             governed.add(governance.path)
             known.append(open_rights(governance.governance))
-    rights = list(dict.fromkeys(right for each in known for right in each))
+    rights = [right for each in known for right in each]
     asked = (right for right in rights if right.owner in documents)
-    for found in without_counterpart(asked, rights):
+    for found in dict.fromkeys(without_counterpart(asked, rights)):
         yield documents[found.right.owner], found
 
 

@@ -22,6 +22,7 @@ from pqsec_pki.smime import (
 )
 from pqsec_pki.tokens import is_reference, uri_in, usable
 
+_DDS_TAG = re.compile(rb"(?i)<(dds|domain_access_rules|permissions)[\s>/]")
 _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x30]", re.DOTALL)
 """PKCS #8, PKCS #1 or SEC 1: a version 0 or 1, then a tag that certificates and CRLs lack."""
 
@@ -153,12 +154,16 @@ class File:
         """Whether it is S/MIME, or XML of DDS-Security, even if broken."""
         if self.is_signed:
             return True
-        head = self.data[:65536].replace(b"\0", b"")  # also finds tags in UTF-16
-        return bool(re.search(rb"(?i)<(dds|domain_access_rules|permissions)[\s>/]", head))
+        head = self.data[:65536]
+        if b"<" not in head:  # as in PEM: the search below is slow
+            return False
+        return bool(_DDS_TAG.search(head.replace(b"\0", b"")))  # also finds tags in UTF-16
 
 
 class SmimeFile(File):
     """A file that looks like S/MIME: the only one that rules about signatures concern."""
+
+    is_signed = True
 
 
 def file_with(data: bytes, path: Path, mode: int, now: datetime) -> File:

@@ -20,7 +20,7 @@ from pqsec_pki.credentials import (
     verify_credentials,
 )
 from pqsec_pki.documents import DomainRule, Governance, Permissions, TopicRule
-from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.errors import MissingError, VerificationError, located
 from pqsec_pki.keystore import Keystore, enclave_files, load_certificate, regular_name
 from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
 from pqsec_pki.problems import Code
@@ -68,9 +68,12 @@ def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datet
 
     KeystoreError for an unknown participant.
     """
-    keystore.refuse_unknown(name)
     path = enclave_file(keystore, name, CERTIFICATE)
-    certificate = load_certificate(path)
+    try:
+        certificate = load_certificate(path)
+    except MissingError:
+        keystore.refuse_unknown(name)  # which knows why
+        raise
     with located(path):
         problems = (
             *anchors.identity_problems(certificate, now),

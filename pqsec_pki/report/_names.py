@@ -14,6 +14,7 @@ from pqsec_pki.report.values import ParticipantGroup
 
 PLACEHOLDER = "{name}"
 """What stands in a label for the part in which names differ."""
+_ONE = {1}
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +37,8 @@ class Grouping:
         The topic itself and "" if no unit is in it, or several are.
         """
         parts = topic.split("/")
-        found = set(_windows(parts, self.lengths)) & self.units
+        plain = self.lengths == _ONE  # as nearly always
+        found = self.units.intersection(parts if plain else _windows(parts, self.lengths))
         if len(found) != 1:
             return topic, ""
         [unit] = found

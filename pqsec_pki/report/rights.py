@@ -51,8 +51,9 @@ def rights_of(fleet: Fleet, root: Path, now: datetime) -> RightsSection:
 
 
 def _every(answer: WhoMay) -> Iterator[Right]:
+    said: dict[DomainSet, str] = {}
     for each in answer.rows:
-        domains = str(each.domains)
+        domains = said.get(each.domains) or said.setdefault(each.domains, str(each.domains))
         for action, names in (
             (Action.PUBLISH, each.row.publishers),
             (Action.SUBSCRIBE, each.row.subscribers),
@@ -66,7 +67,7 @@ def _key(placed: Placed, grouping: Grouping) -> _Key:
     row = placed.row
     label, unit = grouping.split(row.topic)
     sides = (tuple(_parts(each, unit, grouping)) for each in (row.publishers, row.subscribers))
-    return label, bool(unit), str(placed.domains), row.is_pattern, *sides
+    return label, bool(unit), placed.domains, row.is_pattern, *sides
 
 
 def _parts(names: tuple[str, ...], unit: str, grouping: Grouping) -> Iterator[_Part]:

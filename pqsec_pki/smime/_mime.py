@@ -157,9 +157,15 @@ def split(message: bytes) -> SignedMessage:
     return SignedMessage(boundary, body[first], signature, whole.count(b"\n", 0, before))
 
 
+_SIGNED_HEADER = re.compile(rb"(?im)^content-type:[ \t]*multipart/signed")
+
+
 def is_signed(data: bytes) -> bool:
     """Whether `data` looks like an S/MIME file."""
-    return re.search(rb"(?im)^content-type:[ \t]*multipart/signed", data[:4096]) is not None
+    head = data[:4096]
+    if b"multipart/signed" not in head.lower():  # as in most files: the search is slow
+        return False
+    return _SIGNED_HEADER.search(head) is not None
 
 
 def _canonical(data: bytes) -> bytes:

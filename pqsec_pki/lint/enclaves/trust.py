@@ -9,12 +9,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from pqsec_pki.algorithms import is_encrypted
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
+    ALT_KEY,
     ENCLAVES,
     FILES,
+    KEY,
     KEYS,
     PROOF,
     Credentials,
+    alternative_spki,
     verify_credentials,
     verify_logged,
 )
@@ -134,8 +138,9 @@ def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
             return
         with located(PROOF):
             proof = LedgerProof.from_bytes(file.data) if file else None
-        demanded = enclave.proof_demanded
-        verify_logged(enclave.name, verified.anchors, verified.files, proof, demanded=demanded)
+        if proof or enclave.proof_demanded:
+            anchors, files = verified.anchors, verified.files
+            verify_logged(enclave.name, anchors, files, proof, demanded=enclave.proof_demanded)
     except PqsecError as error:
         named = ENCLAVES in enclave.folder.parts  # elsewhere the folder's name means nothing
         for each in problems_of(error):
@@ -144,12 +149,25 @@ def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
 
 
 def _files(enclave: EnclaveFolder) -> dict[str, bytes]:
-    """File name -> data, without unreadable or encrypted keys: no key is decrypted here."""
+    """File name -> data, without unreadable or encrypted keys: no key is decrypted here.
+
+    Also without keys that were read before, and are those of the certificate.
+    """
     files = {name: each for name, each in enclave.files.items() if name in FILES}
-    keys = [each for name, each in files.items() if name in KEYS]
-    if any(each.unreadable or is_encrypted(each.data) for each in keys):
+    keys = {name: each for name, each in files.items() if name in KEYS}
+    closed = any(each.unreadable or is_encrypted(each.data) for each in keys.values())
+    if closed or _are_of(enclave.certificate(), keys):
         files = {name: files[name] for name in _open_to_all(files)}
     return {name: each.data for name, each in files.items()}
+
+
+def _are_of(certificate: Certificate | None, keys: Mapping[str, File]) -> bool:
+    """Whether these are both keys of the certificate, or its only one."""
+    if certificate is None:
+        return False
+    wanted = {KEY: certificate.spki, ALT_KEY: alternative_spki(certificate)}
+    found = {name: file.private_key.spki for name, file in keys.items()}
+    return found == {name: spki for name, spki in wanted.items() if spki is not None}
 
 
 def _open_to_all(files: Mapping[str, File]) -> Iterator[str]:
