@@ -95,6 +95,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
+    from pqsec_pki.keystore.heads import SeenLedger
     from pqsec_pki.keystore.keystore import Keystore
     from pqsec_pki.keystore.layout import GENERATIONS, SETTINGS
     from pqsec_pki.keystore.layout import enclave_name as regular_name
@@ -178,6 +179,7 @@ __all__ = [
     "Receipt",
     "Registration",
     "RobotState",
+    "SeenLedger",
     "SharedStatus",
     "SigningCa",
     "StagedFolder",

@@ -19,10 +19,48 @@ from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.participant import load_first_certificate
+from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
 
 MAX_TREE = 16 << 10
 """Bytes; 63 hashes take 5 kB."""
+
+
+@dataclass(slots=True)
+class SeenLedger:
+    """What was seen of a ledger, for who decides by it again and again: lines are only added."""
+
+    size: int = 0
+    chain: str = ""
+    """The chain value of line `size`."""
+    signed: CompactRange = CompactRange()
+    """The lines of which the newest head was signed."""
+
+    def refuse_less(self, root: Path, ledger: Ledger) -> None:
+        """Look at the ledger of the keystore at `root` again.
+
+        VerificationError if it lacks lines that were seen, or of which the CAs signed the newest
+        head: those that are gone may be revocations.
+        """
+        last, head = next(ledger.rows(after=self.size - 1), None), read_head(root)
+        if self.size and (last is None or last[0] != self.size or last[-1] != self.chain):
+            raise _lost(f"line {self.size}, which was there,")
+        if head:
+            size = head.head.size
+            new = (each for each in ledger.rows(after=self.signed.size) if each[0] <= size)
+            signed = self.signed.extended(leaf_of(*row) for row in new)
+            if (signed.size, signed.root) != (size, head.head.root):
+                raise _lost(f"one of the {size} lines of which the CAs signed a head")
+            self.signed = signed
+        self.size, self.chain = ledger.size, ledger.head
+
+
+def _lost(what: str) -> VerificationError:
+    return VerificationError(
+        f"the ledger lacks {what}: it was rolled back, or is another one",
+        code=Code.CONTENT_CHANGED,
+        hint="`pqsec log --verify` shows what is missing; restore the ledger that fits",
+    )
 
 
 @dataclass(frozen=True, slots=True)

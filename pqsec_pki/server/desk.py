@@ -32,6 +32,7 @@ from pqsec_pki.keystore import (
     BundleNumbers,
     Keystore,
     Ledger,
+    SeenLedger,
     change,
     files_elsewhere,
     layout,
@@ -44,6 +45,8 @@ from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.waiting import WaitingRoom
+
+_NOT_DONE = "the server could not do it: its log says why"
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -62,13 +65,21 @@ class Desk:
     factories: Mapping[str, Factory] = field(default_factory=dict)
     list_validity: timedelta | None = None
     """Of revocation lists that are issued by themselves; None for none."""
+    seen: SeenLedger = field(default_factory=SeenLedger)
+    """Nothing is issued with a ledger that lacks lines: they may be revocations, or used tokens."""
 
     def keep_list(self) -> bool:
-        """Issue the revocation list that is needed; whether one was. Errors as of `renew_list`."""
+        """Issue the revocation list that is needed; whether one was.
+
+        VerificationError for a ledger that lacks lines; other errors as of `renew_list`.
+        """
         if self.list_validity is None:
             return False
-        self._fetch_shared()
-        return keep_list(self.keystore, self.authorities, self.list_validity, now=self.clock())
+        with self.keystore.hold():
+            with self.keystore.open_ledger() as ledger:
+                self.seen.refuse_less(self.keystore.root, ledger)
+            self._fetch_shared()
+            return keep_list(self.keystore, self.authorities, self.list_validity, now=self.clock())
 
     def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         """The answer to each call; those that issue are one change of the keystore."""
@@ -97,6 +108,10 @@ class Desk:
             return []
         with self.keystore.hold():
             with self.keystore.open_ledger() as ledger:
+                try:
+                    self.seen.refuse_less(self.keystore.root, ledger)
+                except PqsecError as error:
+                    return [_unavailable(error)] * len(calls)
                 deciding = self._admission(ledger)
                 decided = [_decided(deciding, each) for each in calls]
                 admitted = [each for each in decided if isinstance(each, Admitted)]
@@ -291,8 +306,14 @@ def _failed(error: PqsecError) -> SignerAnswer:
     """The answer for what a CA refuses, or could not do; only the first is the client's."""
     if isinstance(error, VerificationError):
         return SignerAnswer(status=HTTPStatus.FORBIDDEN, detail=str(error))
-    detail = "the server could not do it: its log says why"
-    return SignerAnswer(status=HTTPStatus.INTERNAL_SERVER_ERROR, detail=detail, note=str(error))
+    return SignerAnswer(status=HTTPStatus.INTERNAL_SERVER_ERROR, detail=_NOT_DONE, note=str(error))
+
+
+def _unavailable(error: PqsecError) -> SignerAnswer:
+    """The answer until somebody has repaired the keystore."""
+    return SignerAnswer(
+        status=HTTPStatus.SERVICE_UNAVAILABLE, detail=_NOT_DONE, retry_after=60, note=str(error)
+    )
 
 
 def _file(path: Path, media_type: str, otherwise: str) -> SignerAnswer:

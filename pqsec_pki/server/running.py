@@ -19,7 +19,7 @@ from pathlib import Path
 from pqsec_pki._files import FileVersion, disk_errors, noted
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Authorities, Keystore
+from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.factories import read_factories
@@ -49,7 +49,7 @@ def run_signer(
 ) -> None:
     """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`."""
     keystore = Keystore.open(settings.keystore, to_change=True)
-    authorities = unlock(keystore)
+    authorities, ledger = unlock(keystore), SeenLedger()
 
     def load(seen: dict[Path, FileVersion]) -> Desk:
         found = read_settings(settings.path)
@@ -68,6 +68,7 @@ def run_signer(
             retry=found.retry,
             factories=factories,
             list_validity=found.revocation_list,
+            seen=ledger,
         )
 
     make_state(settings)

@@ -1,15 +1,22 @@
 """What the signer does with several requests at once."""
 
+from datetime import timedelta
+
 import pytest
 
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import MalformedError
-from pqsec_pki.lifecycle import ParticipantSpec
+from pqsec_pki.domain import create_keystore, read_domain
+from pqsec_pki.enrolment import pins_in_use, request
+from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.est import EnrolmentToken
+from pqsec_pki.lifecycle import ParticipantSpec, revoke
+from pqsec_pki.server import record_token
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.requester import Admitted
 from pqsec_pki.server.waiting import WaitingRoom
 from tests.unit.keystores import DAY, NOW, made
+from tests.unit.serving import DOMAIN
 
 
 def test_a_batch_with_a_replacement_replaces_nobody_else(tmp_path):
@@ -45,3 +52,82 @@ def test_a_call_with_what_no_client_can_send_is_refused(key, text):
     assert SignerCall.of(header, b"").kind is CallKind.ENROL
     with pytest.raises(MalformedError, match="not a call"):
         SignerCall.of(header | {key: text}, b"")
+
+
+class Served:
+    """A keystore with a token for two robots, and the desk that answers them."""
+
+    def __init__(self, folder):
+        self.folder, domain = folder, folder / "domain.yaml"
+        domain.write_text(DOMAIN.format(profile="classical"))
+        self.desired = read_domain(domain)
+        keystore = create_keystore(self.desired, folder / "k", passphrase=None, now=NOW)
+        self.keystore, self.ledger = keystore, keystore.root / "private/ledger.sqlite3"
+        self.token = EnrolmentToken.new(
+            server="https://x",
+            server_pins=frozenset(),
+            cas=pins_in_use(keystore),
+            names="/fleet/*",
+            profile="classical",
+            not_after=NOW + DAY,
+        )
+        record_token(keystore, self.token, uses=2, replaces=False, now=NOW)
+        self.desk = self.started()
+
+    def started(self):
+        room = WaitingRoom(self.folder / "waiting", 1)
+        cas = self.keystore.unlock(None)
+        return Desk(self.keystore, cas, self.desired, lambda: NOW, room, list_validity=DAY)
+
+    def ask(self, name):
+        asked = request(name, self.keystore.profile, self.folder / "robots", force=True).request
+        token, secret = self.token.id, self.token.secret
+        call = SignerCall(kind=CallKind.REQUEST, token=token, secret=secret, body=asked.der)
+        [answer] = self.desk.answers([call])
+        return answer
+
+    def rolled_back(self, data):
+        before = self.ledger.read_bytes()
+        self.ledger.write_bytes(data)
+        return before
+
+
+def test_with_a_ledger_that_was_rolled_back_nothing_is_issued(tmp_path):
+    """Uses of tokens and revocations were gone: what was used up or revoked counted again."""
+    served = Served(tmp_path)
+    old = served.ledger.read_bytes()
+    assert served.ask("/fleet/r1").status == 200
+    revoke(served.keystore, served.desk.authorities, ["/fleet/r1"], now=NOW)
+    whole = served.rolled_back(old)
+    for _ in range(2):
+        answer = served.ask("/fleet/r2")
+        assert (answer.status, answer.retry_after) == (503, 60)
+        assert "the ledger lacks" in answer.note
+        with pytest.raises(VerificationError, match="the ledger lacks"):
+            served.desk.keep_list()
+        served.desk = served.started()  # it lacks what the CAs signed a head of
+    served.rolled_back(whole)
+    assert served.ask("/fleet/r2").status == 200
+
+
+def test_lines_that_the_server_has_seen_are_missed_without_a_signed_head(tmp_path):
+    """The end of a token is in no signed head until the next change by the CAs."""
+    served = Served(tmp_path)
+    old = served.ledger.read_bytes()
+    record_token(
+        served.keystore,
+        EnrolmentToken.new(
+            server="https://x",
+            server_pins=frozenset(),
+            cas=served.token.cas,
+            names="/other",
+            profile="classical",
+            not_after=NOW + timedelta(hours=1),
+        ),
+        uses=1,
+        replaces=False,
+        now=NOW,
+    )
+    assert served.ask("/nobody").status == 403
+    served.rolled_back(old)
+    assert served.ask("/fleet/r1").status == 503
