@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Iterator, Mapping
 from os.path import lexists
 from pathlib import Path
+from shlex import quote
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki.enrolment import is_credential_store
@@ -25,14 +26,16 @@ def made_here(
     yield from _plugins(plugin)
     agent = AgentFolder.of(environment).folder
     if lexists(agent):
-        yield Place("agent", agent, f"pqsec agent stop, then rm -r {agent}")
+        yield Place("agent", agent, f"pqsec agent stop, then rm -r {quote(str(agent))}")
     for unit in written_units(units_folder(environment)):
         yield Place("unit", unit, "pqsec plugin uninstall")
     for unit in sorted(SYSTEM_UNITS.glob("pqsec-*")):
-        yield Place("unit", unit, f"systemctl disable --now {unit.name}, then rm {unit}")
+        name, path = quote(unit.name), quote(str(unit))
+        yield Place("unit", unit, f"systemctl disable --now {name}, then rm {path}")
     for folder in (cache_path().parent, *_SERVICE):
         if lexists(folder):
-            yield Place("cache" if folder not in _SERVICE else "service", folder, f"rm -r {folder}")
+            what = "cache" if folder not in _SERVICE else "service"
+            yield Place(what, folder, f"rm -r {quote(str(folder))}")
     for folder in dict.fromkeys(each.absolute() for each in folders):
         yield from _kept(folder)
 

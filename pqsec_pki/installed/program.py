@@ -4,6 +4,7 @@ import os
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from shlex import quote
 
 import pqsec_pki
 from pqsec_pki._dataclass import dataclass
@@ -66,7 +67,7 @@ def _uninstalled_by(prefix: Path) -> str:
             return command
     if prefix == DEBIAN:
         return "apt-get purge pqsec"
-    return f"{sys.executable} -m pip uninstall pqsec"
+    return f"{quote(sys.executable)} -m pip uninstall pqsec"
 
 
 def _completion(environment: Mapping[str, str], shared: list[Path]) -> Iterator[Place]:
@@ -76,7 +77,7 @@ def _completion(environment: Mapping[str, str], shared: list[Path]) -> Iterator[
     settings = environment.get("XDG_CONFIG_HOME") or home() / ".config"
     fish = Path(settings, "fish/completions/pqsec.fish")
     if fish.is_file():
-        yield Place("completion", fish, f"rm {fish}")
+        yield Place("completion", fish, f"rm {quote(str(fish))}")
     for name in _STARTED:
         path = home() / name
         if path.is_file():

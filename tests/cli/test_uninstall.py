@@ -1,5 +1,6 @@
 """pqsec uninstall --list: what is where, and nothing is removed."""
 
+import shlex
 import sys
 from pathlib import Path
 
@@ -56,6 +57,19 @@ def test_what_is_in_a_home_is_listed_with_its_removal(pqsec, home):
     assert found["completion", str(root / ".bashrc")]["line"] == 2
     assert not [path for _, path in found if path.startswith(str(root)) and "other" in path]
     assert str(AgentFolder.of(home).folder) == str(root / "run/pqsec")
+
+
+def test_a_command_that_removes_names_one_folder_whatever_it_is_called(pqsec, home):
+    """With a blank in the path of a home, `rm -r` removed another folder."""
+    root = Path(home["HOME"])
+    home = {key: value.replace(str(root), f"{root} $(id)") for key, value in home.items()}
+    root = root.rename(home["HOME"])
+    found = places(pqsec("uninstall --list --json", **home))
+    paths = {"cache": ".cache/pqsec", "agent": "run/pqsec"}
+    paths["completion"] = ".config/fish/completions/pqsec.fish"
+    for what, name in paths.items():
+        words = shlex.split(found[what, str(root / name)]["removed_by"])
+        assert words[-1] == str(root / name)
 
 
 def test_keystores_and_credentials_are_found_where_they_are_named(pqsec, home, tmp_path):
