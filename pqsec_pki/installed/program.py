@@ -20,6 +20,7 @@ _RECEIPTS = {
 _SHARED = ("/usr/share", "/usr/local/share")
 _COMPLETIONS = (
     "bash-completion/completions/pqsec",
+    "zsh/site-functions/_pqsec",
     "zsh/vendor-completions/_pqsec",
     "fish/vendor_completions.d/pqsec.fish",
 )

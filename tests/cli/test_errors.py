@@ -15,7 +15,6 @@ import click
 import pytest
 
 from pqsec_pki.cli import COMMANDS, GROUPS
-from pqsec_pki.cli._printing import JSON_VERSION
 from tests.cli.conftest import PARTICIPANTS, Result, clean_environment, command_of
 
 USAGE = [
@@ -194,27 +193,6 @@ def test_a_group_alone_shows_its_help_on_stderr(process, line):
 
 
 # Every command answers
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "profiles",
-        "algorithms",
-        "-k k ca show",
-        "-k k issue /a --publish x",
-        "-k k sign-governance k/enclaves/governance.xml -o out",
-        "-k k verify k/enclaves/governance.p7s",
-        "-k k verify-handshake /talker /listener",
-        "-k new ca init --no-passphrase --profile classical",
-        "validate k/enclaves/governance.xml",
-        "inspect k/enclaves/governance.xml",
-        "demo new",
-    ],
-)
-def test_json_is_one_value_and_nothing_else(pqsec, keystore, line):
-    keystore()
-    assert json.loads(pqsec(f"{line} --json").done().out)["version"] == JSON_VERSION
 
 
 def test_help_lists_the_commands_with_the_help_each_gives(process):

@@ -42,7 +42,8 @@ def test_what_is_copied_is_in_the_checkout_and_enough_for_the_wheel():
     copied = {each for word, rest in STAGES["build"].steps if word == "COPY"
               for each in rest.split()[:-1]}  # fmt: skip
     assert all((ROOT / each).exists() for each in copied)
-    built = {"pqsec_pki", "templates", "schemas", "docs/man", "pyproject.toml", "README.md"}
+    built = {"pqsec_pki", "templates", "schemas", "docs/man", "pyproject.toml", "README.md",
+             "packaging/completions"}  # fmt: skip
     assert built | {"LICENSE"} <= copied
 
 

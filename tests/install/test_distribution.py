@@ -11,7 +11,15 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-BUILT = ["pqsec_pki", "templates", "schemas", "docs/man", "pyproject.toml", "README.md", "LICENSE"]
+SHARED = {
+    "docs/man": "share/man/man1",
+    "packaging/completions/_pqsec": "share/zsh/site-functions/_pqsec",
+    "packaging/completions/pqsec": "share/bash-completion/completions/pqsec",
+    "packaging/completions/pqsec.fish": "share/fish/vendor_completions.d/pqsec.fish",
+}
+IN_PACKAGE = ["pqsec_pki", "templates", "schemas"]
+ABOUT = ["pyproject.toml", "README.md", "LICENSE"]
+BUILT = [*IN_PACKAGE, "docs/man", "packaging/completions", *ABOUT]
 
 
 def build(source, folder, *what, umask=0o022):
@@ -58,14 +66,15 @@ def test_the_wheel_of_the_source_distribution_is_that_of_the_checkout(built, tmp
 def test_the_wheel_has_all_that_pqsec_needs_and_nothing_else(built):
     names = zipfile.ZipFile(built[1]).namelist()
     version = built[1].name.split("-")[1]
-    listed = ("git", "ls-files", "-z", "--cached", "pqsec_pki", "schemas", "templates", "docs/man")
+    listed = ("git", "ls-files", "-z", "--cached", *BUILT[: -len(ABOUT)])
     done = subprocess.run(listed, cwd=ROOT, capture_output=True, text=True, check=False)
     if done.returncode:
         pytest.skip("no checkout of git")
     wanted = set()
     for path in filter(None, done.stdout.split("\0")):
-        if path.startswith("docs/man/"):
-            wanted.add(f"pqsec-{version}.data/data/share/man/man1/{Path(path).name}")
+        if path.startswith(tuple(SHARED)):
+            begin = max((each for each in SHARED if path.startswith(each)), key=len)
+            wanted.add(f"pqsec-{version}.data/data/{SHARED[begin]}{path.removeprefix(begin)}")
         else:
             wanted.add(path if path.startswith("pqsec_pki/") else f"pqsec_pki/{path}")
     about = {each for each in names if ".dist-info/" in each}
@@ -102,7 +111,17 @@ def test_wheels_on_a_stick_install_without_a_network(built, tmp_path):
         cwd=tmp_path, check=True, capture_output=True, text=True,
     )  # fmt: skip
     assert "ok    authenticated" in done.stdout
-    assert (tmp_path / "venv/share/man/man1/pqsec.1").is_file()
+    share = tmp_path / "venv/share"
+    assert (share / "man/man1/pqsec.1").is_file()
+    lines = (
+        f". {share}/bash-completion/completions/pqsec; COMP_WORDS=(pqsec verify); COMP_CWORD=1;"
+        '_pqsec_completion pqsec; echo "${COMPREPLY[@]}"'
+    )
+    path = {"PATH": f"{tmp_path}/venv/bin:{os.environ['PATH']}"}
+    done = subprocess.run(
+        ["bash", "-c", lines], env=os.environ | path, check=True, capture_output=True, text=True
+    )
+    assert done.stdout == "verify verify-handshake\n"
 
 
 @pytest.mark.parametrize("tool", ["pipx", "uv"])

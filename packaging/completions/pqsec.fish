@@ -1,0 +1,1 @@
+_PQSEC_COMPLETE=fish_source pqsec | source
