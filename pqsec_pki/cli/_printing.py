@@ -38,15 +38,15 @@ def emit(
     if settings().json:
         text = as_json(value or {})
     else:
-        text = "\n".join(lines if verbatim else map(_shown, lines))
+        text = "\n".join(lines if verbatim else _shown(lines))
     if text:
         with with_hint("the command itself succeeded"):
             say(text)
 
 
-def _shown(line: str) -> str:
-    text = for_people(line)
-    return painted(text) if on_terminal(sys.stdout) else text
+def _shown(lines: Iterable[str]) -> Iterator[str]:
+    texts = map(for_people, lines)
+    return map(painted, texts) if on_terminal(sys.stdout) else texts
 
 
 def as_json(value: Mapping[str, object]) -> str:

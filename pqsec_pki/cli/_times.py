@@ -14,7 +14,7 @@ _FOR_PROGRAMS = re.compile(r'("|^)([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9:.]{8,15})\+00
 
 def local(text: str) -> str:
     """`text`, with its times in UTC in the zone of the reader: 2026-11-24 03:10 CET."""
-    return _SAID.sub(_in_zone, text)
+    return _SAID.sub(_in_zone, text) if " UTC" in text else text  # most lines have none
 
 
 def _in_zone(found: re.Match[str]) -> str:
@@ -35,4 +35,4 @@ def day(when: datetime) -> str:
 
 def for_programs(text: str) -> str:
     """JSON, or the cell of a CSV: each time that is a whole value ends in Z, not in +00:00."""
-    return _FOR_PROGRAMS.sub(r"\1\2Z\3", text)
+    return _FOR_PROGRAMS.sub(r"\1\2Z\3", text) if "+00:00" in text else text
