@@ -17,6 +17,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import FileVersion, disk_errors, noted
+from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
@@ -87,12 +88,19 @@ def stay() -> None:
 
 
 def make_state(settings: ServerSettings) -> None:
-    """Make the state folder: for its owner, or also for the group of `front_user`."""
+    """Make the state folder: for its owner, or also for the group of `front_user`.
+
+    FileError for one where others could put a socket of theirs: the front would send it tokens.
+    """
     group = pwd.getpwnam(settings.front_user).pw_gid if settings.front_user else -1
     with disk_errors(settings.state):
         settings.state.mkdir(mode=0o750 if settings.front_user else 0o700, exist_ok=True)
         if settings.front_user and os.geteuid() == 0:
             os.chown(settings.state, -1, group)
+        found = settings.state.stat()
+    if why := outsider(found, roots=True):
+        hint = way_out(found, str(settings.state))
+        raise FileError(f"{settings.state}: the signer cannot listen there: {why}", hint=hint)
 
 
 def run_both(

@@ -1,11 +1,15 @@
 """What the server reads beside `serve.yaml` is used when it changes, and if it cannot be, told."""
 
+import os
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from pqsec_pki.certificates import RevocationList
+from pqsec_pki.errors import FileError
+from pqsec_pki.server import read_settings
 from pqsec_pki.server.list_keeping import keep_list
+from pqsec_pki.server.running import make_state
 from tests.unit.factory import Maker
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.serving import DOMAIN, Robot, Server
@@ -103,3 +107,22 @@ def test_the_next_list_is_issued_when_a_third_is_left(tmp_path):
 
     assert [kept(days) for days in (1, 2, 20, 22, 23)] == [True, False, False, True, False]
     assert keystore.revocation_list.number == 2
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files to others")
+@pytest.mark.parametrize("mode", [0o777, 0o1777, 0o770])
+def test_where_others_can_write_the_signer_does_not_listen(tmp_path, mode):
+    """Somebody's socket in the place of the signer's got the tokens of robots."""
+    config, state = tmp_path / "serve.yaml", tmp_path / "state"
+    tls = "tls: [{chain: c, key: k}]"
+    config.write_text(f"url: https://x\nkeystore: k\ndomain: d\n{tls}\n")
+    settings = read_settings(config)
+    make_state(settings)
+    assert state.stat().st_mode & 0o777 == 0o700
+    os.chown(state, -1, 65534)
+    state.chmod(mode)
+    with pytest.raises(FileError, match="may write there") as refused:
+        make_state(settings)
+    assert refused.value.hint == f"chmod go-w {state}"
+    state.chmod(0o750)
+    make_state(settings)
