@@ -16,11 +16,11 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
-from contextvars import ContextVar
 from itertools import takewhile
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 
+from pqsec_pki._progress import counted, stage
 from pqsec_pki.errors import PqsecError
 
 LEAST = 16
@@ -29,10 +29,8 @@ _MOMENTS = 20
 """Milliseconds until the system no longer lists a thread that has ended."""
 
 Done = TypeVar("Done")
-Item = TypeVar("Item")
 _alone = False
 """Whether this process holds something that a fork of it could not use."""
-_watcher: ContextVar[Callable[[int], None] | None] = ContextVar("watcher", default=None)
 
 
 class _Failure(NamedTuple):
@@ -56,7 +54,7 @@ def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]
     items = list(zip(*columns, strict=True))
     count = min(_cores(), len(items) // LEAST)
     if count <= 1:
-        return [work(*item) for item in _told(items, 1)]
+        return [work(*item) for item in counted(items, len(items))]
     shares = [range(number, len(items), count) for number in range(count)]
 
     def do(share: Iterable[int]) -> list[Done] | _Failure:
@@ -64,9 +62,11 @@ def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]
 
     done: list[Any] = [None] * len(items)
     failures = []
-    with _forks(do, shares[1:]) as forks:
+    with stage(len(items)), _forks(do, shares[1:]) as forks:
         for share in shares:
-            found = _answer(forks[share]) if share in forks else do(_told(share, count))
+            # The others have as much to do, and tell nothing before they end.
+            own = counted(share, len(items), each=count)
+            found = _answer(forks[share]) if share in forks else do(own)
             if isinstance(found, _Failure):
                 failures.append(found)
             else:
@@ -80,29 +80,6 @@ def stay_alone() -> None:
     """From now on `shared_out` works in this process alone, which holds what no fork can use."""
     global _alone  # noqa: PLW0603 -- true of the whole process
     _alone = True
-
-
-@contextmanager
-def watched(told: Callable[[int], None]) -> Iterator[None]:
-    """Within it, `shared_out` calls `told` while it works, with how many more items are done.
-
-    It counts the items of this process, and as many for each other process, which have as much
-    to do; so the sum may be larger than the number of items by one for each process.
-    """
-    token = _watcher.set(told)
-    try:
-        yield
-    finally:
-        _watcher.reset(token)
-
-
-def _told(items: Iterable[Item], count: int) -> Iterator[Item]:
-    """The items; the watcher hears `count` after each."""
-    told = _watcher.get()
-    for item in items:
-        yield item
-        if told:
-            told(count)
 
 
 def _done(

@@ -1,6 +1,7 @@
 """Rounds of a handshake, each operation timed; every message passes as bytes."""
 
 import gc
+import signal
 import time
 import tracemalloc
 from collections.abc import Callable
@@ -86,12 +87,14 @@ def measured_rounds(
 
 
 def _undisturbed(participants: MeasuredParticipants, suite: HandshakeSuite, now: datetime) -> Round:
-    """Python's garbage collector runs between rounds only."""
+    """Python's garbage collector and timers run between rounds only."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM})
     gc.disable()
     try:
         taken, _ = _handshake(participants, suite, now)
     finally:
         gc.enable()
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
     return taken
 
 

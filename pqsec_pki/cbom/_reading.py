@@ -6,6 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import is_folder
+from pqsec_pki._progress import counted
 from pqsec_pki.algorithms import is_encrypted, unpem
 from pqsec_pki.cbom import _material, _protocols
 from pqsec_pki.cbom._assets import Assets
@@ -44,7 +45,8 @@ class _Reader:
 
     def read(self) -> None:
         """Fill `assets` and `unread`."""
-        for file in self._inventory.files:
+        files = self._inventory.files
+        for file in counted(files, len(files), "files"):
             if file.unreadable:
                 self.unread.append((file.path, file.unreadable))
                 continue

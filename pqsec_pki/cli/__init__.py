@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pqsec_pki import __version__
-from pqsec_pki.cli import _failures
+from pqsec_pki.cli import _failures, _progress
 from pqsec_pki.cli._completion import VARIABLE
 from pqsec_pki.cli._help import Group
 from pqsec_pki.cli._settings import CommandSettings, command_options
@@ -207,7 +207,8 @@ def main() -> None:
     settings = CommandSettings()
     try:
         _refuse_removed_folder()
-        result = pqsec.main(prog_name="pqsec", standalone_mode=False, obj=settings)
+        with _progress.shown():
+            result = pqsec.main(prog_name="pqsec", standalone_mode=False, obj=settings)
     except PqsecError as error:
         _failures.print_error(error, as_json=_failures.is_json(settings))
         sys.exit(error.exit_code)
@@ -232,13 +233,16 @@ def _prepare_process() -> None:
     if not sys.warnoptions:  # cryptography warns about unusual files: for developers only
         warnings.simplefilter("ignore")
         warnings.simplefilter("always", ForeignAlgorithmWarning)
-        warnings.showwarning = lambda message, *_: click.echo(
-            f"pqsec: warning: {message}", err=True
-        )
+        warnings.showwarning = _warn
     if isinstance(
         sys.stdout, io.TextIOWrapper
     ):  # a path may have characters that the terminal cannot show
         sys.stdout.reconfigure(errors="backslashreplace")
+
+
+def _warn(message: Warning | str, *_: object, **__: object) -> None:
+    with _progress.hidden():
+        click.echo(f"pqsec: warning: {message}", err=True)
 
 
 def _open_closed_streams() -> None:

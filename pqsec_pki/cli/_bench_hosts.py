@@ -7,6 +7,7 @@ from typing import Any
 
 import click
 
+from pqsec_pki._progress import stage
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.benchmark import (
     MESH_COLUMNS,
@@ -19,7 +20,7 @@ from pqsec_pki.benchmark import (
     measured_meshes,
     percentile,
 )
-from pqsec_pki.cli import _bench_bar, _formats, _printing, _settings
+from pqsec_pki.cli import _formats, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.trial import HOSTS, MACHINE, STACKS, Link, find, refuse_without_hosts
 
@@ -127,8 +128,8 @@ def run(stack: str, form: str, given: dict[str, Any]) -> tuple[list[dict[str, ob
         now=_settings.now(),
     )
     length = len(plan.cases) * rounds
-    with _bench_bar.bar(length, "runs") as bar:
-        runs = measured_meshes(plan, bar)
+    with stage(length, "runs") as here:
+        runs = measured_meshes(plan, here.add)
     found = MeasuredMeshes(stack=stack, version=installation.version, runs=runs)
     complete = len(runs) == length
     value = {"environment": environment, "complete": complete, **found.to_json()}

@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import click
 
-from pqsec_pki.cli import _settings
+from pqsec_pki.cli import _progress, _settings
 from pqsec_pki.errors import UsageError
 
 
@@ -19,4 +19,5 @@ def confirm(show: Callable[[], None], question: str, *, what: str, hint: str) ->
     show()
     if not sys.stdin.isatty():
         raise UsageError(f"{what}, and no terminal to ask", hint=hint)
-    click.confirm(question, abort=True, err=True)
+    with _progress.hidden():
+        click.confirm(question, abort=True, err=True)

@@ -1,10 +1,8 @@
 """verify-handshake --attack: run attacks and print the report."""
 
-import sys
 from collections.abc import Iterator
 
-import click
-
+from pqsec_pki._progress import stage
 from pqsec_pki.attacks import (
     ATTACKS,
     Attack,
@@ -31,10 +29,8 @@ def try_attacks(
     attacks: tuple[Attack, ...],
 ) -> bool:
     """Run the attacks and print the report. Returns whether all were refused."""
-    with click.progressbar(
-        length=len(attacks), label="attacks", file=sys.stderr, hidden=not sys.stderr.isatty()
-    ) as bar:
-        attack_report = run_attacks(setup, *parties, attacks, lambda _: bar.update(1))
+    with stage(len(attacks), "attacks") as here:
+        attack_report = run_attacks(setup, *parties, attacks, lambda _: here.add(1))
     _printing.emit(attack_report.to_json(), _lines(attack_report, details=len(attacks) == 1))
     return attack_report.ok
 

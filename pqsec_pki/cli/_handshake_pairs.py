@@ -1,15 +1,13 @@
 """verify-handshake --all: run all pairs, print a matrix or JSON."""
 
 import json
-import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import field
 from typing import TypeVar
 
-import click
-
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._progress import counted
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.selfcheck import (
@@ -45,7 +43,7 @@ def try_all(job: AllPairsJob, names: Sequence[str], jobs: int) -> bool:
         )
     parties = len(names) * len(set(job.stacks))
     with check_pairs(
-        job, names, jobs, lambda found: _with_progress(found, parties, "one by one")
+        job, names, jobs, lambda found: counted(found, parties, "participants")
     ) as found:
         account = _Totals(found)
         if _settings.settings().json:
@@ -73,7 +71,7 @@ class _Totals:
         names = self.check_pairs.names
         count = count_pairs(names, self.check_pairs.job)
         started = time.perf_counter()
-        for outcome in _with_progress(self.check_pairs.outcomes(), count, "two by two"):
+        for outcome in counted(self.check_pairs.outcomes(), count, "pairs"):
             self.summary.add(outcome)
             if len(names) <= MATRIX:
                 self._mark(outcome)
@@ -107,20 +105,6 @@ class _Totals:
             "handshakes": summary.tried,
             "handshakes_per_second": round(summary.tried / self.seconds, 1),
         }
-
-
-def _with_progress(items: Iterable[Item], count: int, label: str) -> Iterator[Item]:
-    """The same items, with a progress bar on stderr if that is a terminal."""
-    mixed_with_result = _settings.settings().json and sys.stdout.isatty()
-    with click.progressbar(
-        items,
-        length=count,
-        label=label,
-        file=sys.stderr,
-        hidden=mixed_with_result or not sys.stderr.isatty(),
-        update_min_steps=1 + count // 500,
-    ) as bar:
-        yield from bar
 
 
 # As JSON: one object, written piece by piece.

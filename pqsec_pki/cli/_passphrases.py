@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from pqsec_pki.cli import _printing, _settings
+from pqsec_pki.cli import _printing, _progress, _settings
 from pqsec_pki.errors import PassphraseError, PqsecError, UsageError, located
 
 if TYPE_CHECKING:
@@ -166,7 +166,8 @@ def _text(secret: bytes, path: Path) -> str:
 
 def asked(what: str, *, twice: bool = False) -> bytes:
     try:
-        answer: str = click.prompt(what, hide_input=True, confirmation_prompt=twice, err=True)
+        with _progress.hidden():
+            answer: str = click.prompt(what, hide_input=True, confirmation_prompt=twice, err=True)
         return answer.encode()
     except UnicodeError:
         raise PassphraseError("the passphrase is not in the terminal's encoding") from None

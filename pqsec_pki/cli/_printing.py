@@ -13,6 +13,7 @@ from textwrap import wrap
 
 import click
 
+from pqsec_pki.cli import _progress
 from pqsec_pki.cli._colour import on_terminal, painted
 from pqsec_pki.cli._settings import settings
 from pqsec_pki.cli._times import for_programs, local
@@ -77,7 +78,8 @@ def _encoded(value: object) -> object:
 def say(text: str) -> None:
     """Print a part of the result unchanged. FileError on a full disk."""
     try:
-        click.echo(text)
+        with _progress.hidden():
+            click.echo(text)
     except OSError as error:
         # Python flushes again at exit: discard the rest of the result.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -98,7 +100,8 @@ def with_hint(hint: str) -> Iterator[None]:
 def note(text: str) -> None:
     """Print a note on stderr."""
     line = f"pqsec: note: {for_people(text)}"
-    click.echo(painted(line) if on_terminal(sys.stderr) else line, err=True)
+    with _progress.hidden():
+        click.echo(painted(line) if on_terminal(sys.stderr) else line, err=True)
 
 
 def for_people(text: str) -> str:

@@ -4,7 +4,7 @@ import os
 import signal
 
 from pqsec_pki._files import is_there, read
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _help, _printing, _progress, _settings
 from pqsec_pki.errors import ExistsError, FileError
 from pqsec_pki.plugin import AgentFolder, AgentStatus, agent_status, stop_agent
 
@@ -106,6 +106,7 @@ def run() -> None:
     from pqsec_pki.plugin import listening  # noqa: PLC0415 -- only here
     from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- only here
 
+    _progress.stop()
     signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a participant that exits must not stop it
     os.umask(0o077)
     folder = _agent_folder()

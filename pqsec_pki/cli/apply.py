@@ -1,6 +1,5 @@
 """pqsec apply: change the keystore to match a domain file."""
 
-import sys
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +8,7 @@ import click
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there
-from pqsec_pki._processes import watched
+from pqsec_pki._progress import stage
 from pqsec_pki.approvals import Approval, PlanProposal
 from pqsec_pki.cli import _help, _passphrases, _printing, _proposed, _settings
 from pqsec_pki.cli._confirmation import confirm
@@ -343,20 +342,14 @@ def _apply_steps(
     found: Plan,
     bundles: _BundleWriter,
 ) -> list[Step]:
-    """Make the changes, with a progress bar on a terminal. Returns the steps that were made."""
-    hidden, done = not sys.stderr.isatty(), list[Step]()
-    every = len(found.steps)
+    """Make the changes. Returns the steps that were made."""
+    done, every = list[Step](), len(found.steps)
     batches = apply_plan(desired, keystore, authorities, found, now=_settings.now())
     try:
-        with (
-            click.progressbar(
-                length=every, label="changes", show_pos=True, file=sys.stderr, hidden=hidden
-            ) as bar,
-            watched(lambda count: bar.update(min(count, every - bar.pos))),
-        ):
+        with stage(every, "changes") as here:
             for batch in batches:
                 done += batch
-                bar.update(max(0, len(done) - bar.pos))
+                here.reach(len(done))
     except PqsecError:
         _printing.note(f"{len(done)} of {every} changes are made; run apply again to make the rest")
         with suppress(PqsecError):  # the first error is reported

@@ -6,6 +6,7 @@ from typing import Any
 
 import click
 
+from pqsec_pki._progress import stage
 from pqsec_pki.algorithms import KEY_AGREEMENTS, PROFILES, SIGNATURES, profile_named
 from pqsec_pki.benchmark import (
     CSV_COLUMNS,
@@ -23,7 +24,6 @@ from pqsec_pki.benchmark import (
     suites_of,
 )
 from pqsec_pki.cli import (
-    _bench_bar,
     _bench_hosts,
     _bench_plots,
     _completion,
@@ -205,12 +205,12 @@ def _run(
 
 
 def _measured(suites: Sequence[HandshakeSuite], rounds: int, warm_up: int) -> list[MeasuredSuite]:
-    """Each suite in turn, until Ctrl-C, with a progress bar on a terminal."""
+    """Each suite in turn, until Ctrl-C."""
     found: list[MeasuredSuite] = []
-    with _bench_bar.bar(len(suites) * (rounds + warm_up), "handshakes") as bar:
+    with stage(len(suites) * (rounds + warm_up), "handshakes") as here:
         for suite in suites:
             one = measured_rounds(
-                suite, rounds=rounds, warm_up=warm_up, now=_settings.now(), each=bar
+                suite, rounds=rounds, warm_up=warm_up, now=_settings.now(), each=here.add
             )
             found += [one] if one else []
             if one is None or len(one.rounds) < rounds:

@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
+from pqsec_pki._progress import counted
 from pqsec_pki.cli import _bundles, _completion, _help, _printing, _settings
 from pqsec_pki.cli._names import admitted, named
 from pqsec_pki.enrolment import Bundle, BundleFile, bundle_path, write_bundles
@@ -115,7 +116,7 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
 
 def _made(keystore: Keystore, together: list[list[str]], *, keys: bool) -> Iterator[Bundle]:
     now, numbers = _settings.now(), BundleNumbers.of(keystore)
-    for names in together:
+    for names in counted(together, len(together), "bundles"):
         yield Bundle.of(keystore, names, now=now, keys=keys, numbers=numbers)
 
 

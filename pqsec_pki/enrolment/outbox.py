@@ -6,6 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._files import read
+from pqsec_pki._progress import counted
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path, save
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import ExistsError, PqsecError
@@ -21,7 +22,8 @@ def refresh(
     ExistsError for anything else in its place. Errors as in `Bundle.of` and `save`.
     """
     numbers = BundleNumbers.of(keystore)
-    for name in names:
+    wanted = list(names)
+    for name in counted(wanted, len(wanted), "bundles"):
         goal = bundle_path(folder, name)
         bundle = Bundle.of(keystore, [name], now=now, keys=False, numbers=numbers)
         there = _bundle_at(goal, name)

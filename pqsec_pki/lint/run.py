@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._progress import counted
 from pqsec_pki.credentials import ENCLAVES, TrustAnchors
 from pqsec_pki.lint._plain import NEVER_IN_PLAIN
 from pqsec_pki.lint.collect import take_inventory
@@ -124,7 +125,8 @@ def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
         inventory,  # before the enclaves: it verifies documents that were parsed here
         *inventory.enclaves,
     )
-    return without_repetitions(_answers(asked, subjects), inventory)
+    checked = counted(subjects, len(subjects), "subjects")
+    return without_repetitions(_answers(asked, checked), inventory)
 
 
 def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:

@@ -10,6 +10,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, is_folder, walk
+from pqsec_pki._progress import counted
 from pqsec_pki.access import Action, DocumentOwner, Interpretation, Question
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions, parse_subject
@@ -89,7 +90,8 @@ def fleet_in(
     governance = shared_governance(keystore, check)
     members, refused = list[DocumentOwner](), dict[str, str]()
     inputs = dict[str, PolicyInput]()
-    for name in keystore.names_of_all():
+    names = keystore.names_of_all()
+    for name in counted(names, len(names), "participants"):
         try:
             subject = identity_of(keystore, name, anchors, now).subject_name
             own = own_permissions(keystore, name, now, check)

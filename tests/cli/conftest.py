@@ -31,6 +31,13 @@ NAMES = [profile.name for profile in PROFILES]
 PARTICIPANTS = ("/talker", "/listener")
 EXTENSION = Path(__file__).parents[2] / "examples/extension"
 
+AT_ONCE = (
+    "-c",
+    "from pqsec_pki.cli import _progress as shown, main; shown._FIRST = shown._NEXT = 0.02; main()",
+)
+"""pqsec, which shows its progress soon, and often."""
+ERASE = "\r\x1b[K"
+
 Run = Callable[..., "Result"]
 
 
@@ -93,6 +100,14 @@ def clean_environment(**extra: str) -> dict[str, str]:
     dropped = ("PQSEC_", "ROS_SECURITY_", "PYTHONUNBUFFERED")
     kept = {k: v for k, v in os.environ.items() if not k.startswith(dropped)}
     return {**kept, "NO_COLOR": "1", **extra}  # test_terminal.py is about colours
+
+
+def visible(shown: str) -> str:
+    """What stays on a terminal, of all that was sent to it."""
+    left = ""
+    for part in shown.split(ERASE):
+        left = left[: left.rfind("\n") + 1] + part
+    return left
 
 
 def command_of(words: list[str]) -> click.Command:

@@ -5,6 +5,7 @@ import json
 import os
 import pty
 import re
+import shlex
 import struct
 import subprocess
 import sys
@@ -14,7 +15,7 @@ from datetime import datetime, timedelta
 import pytest
 
 from pqsec_pki.cli._colour import painted
-from tests.cli.conftest import clean_environment
+from tests.cli.conftest import AT_ONCE, ERASE, clean_environment, visible
 
 ESCAPE = "\x1b["
 CONTROL = re.compile(r"\x1b\[[0-9;]*m")
@@ -24,7 +25,7 @@ CONTROL = re.compile(r"\x1b\[[0-9;]*m")
 def terminal(tmp_path):
     """terminal("check k", columns=60) is what a terminal of that width shows."""
 
-    def run(line, columns=80, **environment):
+    def run(line, columns=80, program=("-m", "pqsec_pki"), **environment):
         ours, theirs = pty.openpty()
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
         variables = {"TERM": "xterm", **environment}
@@ -32,7 +33,7 @@ def terminal(tmp_path):
         for name in {"NO_COLOR", "COLUMNS"} - set(variables):
             inherited.pop(name, None)
         program = subprocess.Popen(
-            [sys.executable, "-m", "pqsec_pki", *line.split()],
+            [sys.executable, *program, *shlex.split(line)],
             cwd=tmp_path, env=inherited, stdin=theirs, stdout=theirs, stderr=theirs,
         )  # fmt: skip
         os.close(theirs)
@@ -60,14 +61,14 @@ def test_a_terminal_gets_colours_and_the_same_words_as_a_pipe(terminal, process,
         assert ESCAPE not in piped.out + piped.err
         shown = terminal(line, columns=500)
         assert ESCAPE in shown
-        assert CONTROL.sub("", shown) == piped.out + piped.err
+        assert CONTROL.sub("", visible(shown)) == piped.out + piped.err
 
 
 @pytest.mark.parametrize("variable", [{"NO_COLOR": "1"}, {"TERM": "dumb"}], ids=str)
 def test_colour_can_be_turned_off(terminal, variable):
     said = terminal("-k nowhere status", **variable)
     assert "error" in said
-    assert ESCAPE not in said
+    assert ESCAPE not in visible(said)
 
 
 def test_what_comes_from_outside_commands_no_terminal(terminal):
@@ -77,7 +78,7 @@ def test_what_comes_from_outside_commands_no_terminal(terminal):
 
 
 def test_a_table_is_wrapped_to_the_terminal_and_names_stay_whole(terminal, process):
-    narrow, piped = terminal("algorithms", columns=70), process("algorithms").done().out
+    narrow, piped = visible(terminal("algorithms", columns=70)), process("algorithms").done().out
     assert max(map(len, piped.splitlines())) > 80
     assert len(narrow.splitlines()) > len(piped.splitlines())
     assert set(piped.split()) == set(narrow.split())
@@ -154,10 +155,69 @@ def test_times_are_in_the_zone_of_the_reader_and_in_utc_for_programs(terminal, p
     keystore()
     here = {"TZ": "IST-5:30"}
     piped = process("-k k log", **here).done().out
-    assert terminal("-k k log", columns=500, **here) == piped
+    assert visible(terminal("-k k log", columns=500, **here)) == piped
     lines = process("-k k log --json").done().json["lines"]
     assert process("-k k log --json", **here).done().json["lines"] == lines
     assert all(each["at"].endswith("Z") for each in lines)
     made = [datetime.fromisoformat(each["at"]) for each in lines]
     in_india = [f"{at + timedelta(hours=5, minutes=30):%Y-%m-%d %H:%M} IST" for at in made]
     assert re.findall(r"[0-9-]{10} [0-9:]{5} [A-Z]+", piped) == in_india
+
+
+# Progress
+
+NAMES = " ".join(f"/n{number}" for number in range(60))
+LONG = {
+    "ca init": "-k new ca init --no-passphrase",
+    "ca rotate": "-k k ca rotate --no-passphrase",
+    "demo": "demo new",
+    "plan": "-k k plan domain.yaml",
+    "apply": "-k k apply domain.yaml --yes",
+    "issue": f"-k k issue {NAMES} --publish x",
+    "permit": "-k k permit /talker --publish x --yes",
+    "renew": "-k k renew /talker /listener",
+    "revoke": "-k k revoke /talker --yes",
+    "status": "-k k status",
+    "log": "-k k log --verify",
+    "bundle": "-k k bundle /talker --plain-key -o new.bundle",
+    "check": "check k",
+    "report": "-k k report -o new.html",
+    "who-may": "who-may k",
+    "cbom": "cbom k",
+    "verify-handshake": "-k k verify-handshake --all",
+    "bench": "bench --profile classical --rounds 3",
+    "estimate": "estimate --participants 20",
+    "migrate plan": "-k k migrate plan --to pq --rehearse",
+}
+"""Command -> a command line of it that takes over a second for some keystore, log or fleet."""
+
+
+@pytest.mark.parametrize("command", LONG)
+def test_a_terminal_shows_that_a_command_works_and_how_long(terminal, pqsec, keystore, command):
+    keystore("classical")
+    pqsec("domain import k -o domain.yaml").done()
+    shown = terminal(LONG[command], program=AT_ONCE)
+    assert f"{ERASE}pqsec {command}: " in shown
+    assert "pqsec: error" not in shown, shown
+    assert f"pqsec {command}: " not in visible(shown)
+
+
+def test_it_counts_where_a_command_counts(terminal, keystore):
+    keystore("classical")
+    assert re.search(
+        r"pqsec issue: [0-9]+ of 60, [0-9] s", terminal(LONG["issue"], program=AT_ONCE)
+    )
+
+
+@pytest.mark.parametrize("variable", [{"TERM": "dumb"}, {"TERM": ""}], ids=str)
+def test_a_terminal_that_cannot_erase_shows_none(terminal, keystore, variable):
+    keystore("classical")
+    assert "pqsec check: " not in terminal("check k", program=AT_ONCE, **variable)
+
+
+def test_a_pipe_gets_no_progress(keystore, tmp_path):
+    keystore("classical")
+    command = [sys.executable, *AT_ONCE, "check", "k"]
+    piped = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "\r" not in piped.stdout + piped.stderr
+    assert "pqsec check: " not in piped.stderr

@@ -243,19 +243,3 @@ def test_a_fleet_whose_maker_is_killed_can_be_made_by_the_next(fleet, wait):
     assert run(FLEET + textwrap.dedent(script), fleet) == 50
     audit(Keystore.open(fleet))
     assert list(fleet.glob(".draft-*")) == []
-
-
-@pytest.mark.parametrize("count", [0, 15, 100])
-def test_who_watches_hears_of_every_item_while_the_work_is_done(count):
-    script = """
-        from pqsec_pki._processes import watched
-        told = []
-        with watched(told.append):
-            before = shared_out(lambda n: sum(told), many[:%d])
-        shared_out(lambda n: n, many)  # nobody watches
-        print(json.dumps([told, before]))
-    """
-    told, before = run(script % count)
-    assert count <= sum(told) < count + CORES
-    assert before[:1] == [0] * min(count, 1)
-    assert max(before, default=0) == sum(told[:-1])

@@ -34,6 +34,7 @@ GROUND = {
     "_owners",
     "_packages",
     "_processes",
+    "_progress",
     "_times",
     "_asn1",
 }
