@@ -84,6 +84,10 @@ def test_pre_commit_runs_both_hooks(commit_check):
     said = commit_check({"governance.xml": BROKEN}, 1)
     assert said.count("Failed") == 2
     assert commit_check({"governance.xml": GOOD, "permissions-a.yaml": b"grants: 1"}, 1)
+    said = commit_check(
+        {"permissions-a.yaml": b"grants: []", "domain.yaml": b"nam: x\nprune: 1"}, 1
+    )
+    assert "domain.yaml: line 1: nam: no such key here; did you mean name?" in said
 
 
 def test_each_hook_is_a_command_with_options_that_exist():
