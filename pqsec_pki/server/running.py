@@ -24,7 +24,7 @@ from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.factories import read_factories
-from pqsec_pki.server.signer import SignerProcess, listening, users_of
+from pqsec_pki.server.signer import SignerProcess, give_to, listening, users_of
 
 _FIRST_GIVEN = 3
 """The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
@@ -72,11 +72,14 @@ def run_signer(
             seen=ledger,
         )
 
+    users = users_of(settings.front_user)
     make_state(settings)
     stay()
-    listener = listening(settings.socket, bool(settings.front_user))
+    listener = listening(settings.socket, settings.front_user)
     with listener:
-        SignerProcess(listener, load, users_of(settings.front_user), log, pass_on).run()
+        signer = SignerProcess(listener, load, users, log, pass_on)
+        notify("READY=1", os.environ)
+        signer.run()
     with suppress(OSError):
         settings.socket.unlink()
 
@@ -92,15 +95,16 @@ def make_state(settings: ServerSettings) -> None:
 
     FileError for one where others could put a socket of theirs: the front would send it tokens.
     """
-    group = pwd.getpwnam(settings.front_user).pw_gid if settings.front_user else -1
     with disk_errors(settings.state):
-        settings.state.mkdir(mode=0o750 if settings.front_user else 0o700, exist_ok=True)
-        if settings.front_user and os.geteuid() == 0:
-            os.chown(settings.state, -1, group)
+        settings.state.mkdir(mode=0o700, exist_ok=True)
         found = settings.state.stat()
     if why := outsider(found, roots=True):
         hint = way_out(found, str(settings.state))
         raise FileError(f"{settings.state}: the signer cannot listen there: {why}", hint=hint)
+    if settings.front_user and found.st_uid == os.geteuid():
+        with disk_errors(settings.state):
+            settings.state.chmod(0o750)  # whatever the umask is
+            give_to(settings.state, settings.front_user)
 
 
 def run_both(
@@ -125,7 +129,7 @@ def run_both(
     finally:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         _stop(front)
-    if ended:
+    if any(ended):  # with 0 it was asked to end, as by who stops a whole service
         raise KeystoreError(f"the process that faces the network ended with {ended[0]}")
 
 

@@ -176,14 +176,18 @@ class _LinkReader:
         return bytes(found)
 
 
-def listening(path: Path, group_may: bool = False) -> socket.socket:  # noqa: FBT001, FBT002
-    """A socket at `path`, for its owner, or also for its group; FileError if it cannot be made."""
+def listening(path: Path, front_user: str = "") -> socket.socket:
+    """A socket at `path`, for its owner, or also for its group; FileError if it cannot be made.
+
+    For root the group is that of `front_user`.
+    """
     listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-    before = os.umask(0o117 if group_may else 0o177)
+    before = os.umask(0o117 if front_user else 0o177)
     try:
         with disk_errors(path):
             path.unlink(missing_ok=True)
             listener.bind(str(path))
+            give_to(path, front_user)
             listener.listen(_BACKLOG)
     except BaseException:
         listener.close()
@@ -191,6 +195,12 @@ def listening(path: Path, group_may: bool = False) -> socket.socket:  # noqa: FB
     finally:
         os.umask(before)
     return listener
+
+
+def give_to(path: Path, front_user: str) -> None:
+    """Let the group of `front_user`, if there is one, have `path`; only root can."""
+    if front_user and os.geteuid() == 0:
+        os.chown(path, -1, pwd.getpwnam(front_user).pw_gid)
 
 
 def users_of(front_user: str) -> frozenset[int]:

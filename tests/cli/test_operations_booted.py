@@ -4,28 +4,19 @@ So the units' sandbox is there, and what it refuses is found.
 """
 
 import json
-import os
 import re
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-import pqsec_pki
+from tests.cli.booting import CAN_BOOT, boot
 from tests.cli.conftest import secret
 from tests.longer import LONG
 
 FOLDER = Path(__file__).parents[2] / "examples/operations"
-BOOTED = Path(__file__).with_name("booted.sh")
-SYSTEMD = Path("/lib/systemd/systemd")
-PROGRAM = """#!/bin/sh
-export PYTHONHOME=/opt/python LD_LIBRARY_PATH=/opt/python/lib PYTHONPATH={paths}
-exec /opt/python/bin/{python} -m pqsec_pki "$@"
-"""
 INSIDE = """
 set -ex
+mv /shared/passphrase /shared/operations/ca-passphrase
 cd /shared/operations
 install -m 755 /shared/pqsec /usr/bin/pqsec
 mkdir -p /etc/prometheus
@@ -53,27 +44,13 @@ journalctl --unit pqsec-renew --no-pager > /shared/altered
 @pytest.fixture(scope="module")
 def night(tmp_path_factory, requires):
     """What a machine left that booted, took the units and ran each service once."""
-    can = os.geteuid() == 0 and SYSTEMD.exists()
-    requires(can or None, "systemd, and root to boot it", "apt-get install systemd")
+    requires(CAN_BOOT or None, "systemd, and root to boot it", "apt-get install systemd")
     shared = tmp_path_factory.mktemp("booted")
-    shared.chmod(0o755)
-    shutil.copytree(FOLDER, shared / "operations")
-    secret(shared / "operations/ca-passphrase", "correct horse battery staple\n")
-    packages = [each for each in sys.path if each.endswith("-packages")]
-    trees = [str(Path(pqsec_pki.__file__).parents[1]), *packages]
-    places = {f"tree{number}": each for number, each in enumerate(trees)}
-    paths = ":".join(f"/opt/{each}" for each in places)
-    python = f"python3.{sys.version_info.minor}"
-    (shared / "pqsec").write_text(PROGRAM.format(paths=paths, python=python))
+    secret(shared / "passphrase", "correct horse battery staple\n")
     [install] = re.findall(
         r"## Install\n\n```sh\n(.*?)```", (FOLDER / "README.md").read_text(), re.DOTALL
     )
-    (shared / "inside.sh").write_text(INSIDE.format(install=install))
-    given = [f"{place}={path}" for place, path in places.items()]
-    (shared / "out").touch()
-    subprocess.run(
-        ["bash", BOOTED, shared, f"python={sys.base_prefix}", *given], timeout=280, check=False
-    )
+    boot(shared, FOLDER, INSIDE.format(install=install))
     assert (shared / "altered").exists(), (shared / "out").read_text()
     return shared
 

@@ -1,8 +1,11 @@
 """The server among clients that mean harm, and when it is killed: honest robots are served."""
 
+import os
+import pwd
 import shutil
 import signal
 import socket
+import stat
 import subprocess
 import sys
 import threading
@@ -17,8 +20,11 @@ from OpenSSL import SSL
 from pqsec_pki.algorithms import pem
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.est import TlsIdentity
+from pqsec_pki.server import read_settings
 from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Connections
+from pqsec_pki.server.running import make_state
+from pqsec_pki.server.signer import listening
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.tls_sides import certificate
 
@@ -217,6 +223,28 @@ def test_a_new_configuration_leaves_open_connections_alone(tmp_path):
     assert made.process.returncode == 0
 
 
+def test_who_ends_both_processes_at_once_gets_no_error(tmp_path):
+    made = Server(tmp_path, datetime.now(UTC), "classical")
+    made.start()
+    os.killpg(made.process.pid, signal.SIGTERM)
+    assert made.process.wait(PATIENCE) == 0, made.log
+
+
+def test_the_front_of_another_user_may_ask_whatever_the_umask_is(tmp_path):
+    front = pwd.getpwnam("nobody")
+    settings = Server(tmp_path, datetime.now(UTC), "classical", front_user=front.pw_name).config
+    before = os.umask(0o077)
+    try:
+        make_state(read_settings(settings))
+        listening(tmp_path / "state/signer.sock", front.pw_name).close()
+    finally:
+        os.umask(before)
+    found = [(tmp_path / "state" / each).stat() for each in (".", "signer.sock")]
+    assert [stat.S_IMODE(each.st_mode) for each in found] == [0o750, 0o660]
+    own = front.pw_gid if os.geteuid() == 0 else os.getegid()
+    assert [each.st_gid for each in found] == [own, own]
+
+
 def test_rights_that_the_domain_file_takes_do_not_come_back_with_a_renewal(tmp_path):
     made = Server(tmp_path, datetime.now(UTC), renew="any-time")
     with made.running():
@@ -274,8 +302,15 @@ def test_two_services_share_a_socket_that_systemd_made(tmp_path):
         front = subprocess.Popen(
             ["bash", "-c", handed, str(number), *command, "front"], pass_fds=[number], stderr=log
         )
-        signer = subprocess.Popen([*command, "signer"], stderr=log)
+        notices = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+        notices.bind(str(tmp_path / "notify"))
+        notices.settimeout(PATIENCE)
+        given = {**os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify")}
+        signer = subprocess.Popen([*command, "signer"], stderr=log, env=given)
     try:
+        with notices:
+            assert notices.recv(100) == b"READY=1"
+        assert (tmp_path / "state/signer.sock").is_socket()
         until(lambda: made.page("/readyz") == 200)
         robot = Robot(made, tmp_path / "robot")
         assert made.ask(robot.request, token=made.token("/fleet/r1")).status == 200
