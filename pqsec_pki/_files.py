@@ -86,8 +86,9 @@ def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) 
         with open(
             path, "rb", buffering=0, opener=lambda path, mode: _without_waiting(path, mode | flags)
         ) as file:
-            place = Path(f"/proc/self/fd/{file.fileno()}").readlink()  # opened once, so no race
-            if not place.is_relative_to(root.resolve()):
+            # Opened once, so no race. Not by pathlib: bundles are made of thousands of files.
+            place = os.readlink(f"/proc/self/fd/{file.fileno()}")  # noqa: PTH115
+            if not place.startswith(os.path.join(os.path.realpath(root), "")):  # noqa: PTH118
                 raise FileError(
                     f"{path} leads out of {root}",
                     hint="replace the link by a copy of the file it should point to",

@@ -115,9 +115,10 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
 
 
 def _made(keystore: Keystore, together: list[list[str]], *, keys: bool) -> Iterator[Bundle]:
-    now, numbers = _settings.now(), BundleNumbers.of(keystore)
-    for names in counted(together, len(together), "bundles"):
-        yield Bundle.of(keystore, names, now=now, keys=keys, numbers=numbers)
+    now = _settings.now()
+    with BundleNumbers.of(keystore) as numbers:
+        for names in counted(together, len(together), "bundles"):
+            yield Bundle.of(keystore, names, now=now, keys=keys, numbers=numbers)
 
 
 def _print(files: Sequence[BundleFile], *, outdated: bool) -> None:

@@ -8,6 +8,7 @@ that the ledger has the documents is in the manifest: an earlier pqsec refuses u
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import nullcontext
 from dataclasses import field
 from datetime import datetime
 from functools import cached_property
@@ -66,7 +67,7 @@ class Bundle:
     ) -> Self:
         """The bundle of these participants; with `keys`, including their private keys.
 
-        To make many bundles, read the ledger once, and give its `numbers`.
+        To make many bundles, open the ledger once, and give its `numbers`.
         The files are verified at `now`, as the robot will do, and written again from the
         verified values. VerificationError lists everything that is wrong. KeystoreError if a
         participant does not exist or lacks a file, UsageError without names.
@@ -76,9 +77,9 @@ class Bundle:
             raise UsageError("a bundle needs at least one participant")
         found = {name: enclave_files(keystore.root, name) for name in regular}
         enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
-        numbers = numbers or BundleNumbers.of(keystore)
-        known = [number for files in found.values() if (number := numbers.number(files))]
-        proof = numbers.proofs.proof(enclaves.values()) if numbers.proofs else None
+        with nullcontext(numbers) if numbers else BundleNumbers.of(keystore) as those:
+            known = [number for files in found.values() if (number := those.number(files))]
+            proof = those.proofs.proof(enclaves.values()) if those.proofs else None
         return cls(now.replace(microsecond=0), enclaves, max(known, default=None), proof)
 
     @classmethod

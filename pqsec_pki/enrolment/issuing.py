@@ -63,14 +63,15 @@ def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by n
         after_revocation=after_revocation,
         compromised_keys=compromised_keys,
     )
-    numbers = BundleNumbers.of(keystore)
-    for each, path in zip(issued, paths, strict=True):
-        bundle = Bundle.of(keystore, [each.name], now=now, numbers=numbers)
-        try:
-            BundleFile(bundle, path, recipient).write(force=force)
-        except FileError as error:
-            error.hint = f"{each.name} is issued: write its bundle with `pqsec bundle {each.name}`"
-            raise
+    with BundleNumbers.of(keystore) as numbers:
+        for each, path in zip(issued, paths, strict=True):
+            bundle = Bundle.of(keystore, [each.name], now=now, numbers=numbers)
+            try:
+                BundleFile(bundle, path, recipient).write(force=force)
+            except FileError as error:
+                name = each.name
+                error.hint = f"{name} is issued: write its bundle with `pqsec bundle {name}`"
+                raise
     return [IssuedBundle(each, path) for each, path in zip(issued, paths, strict=True)]
 
 

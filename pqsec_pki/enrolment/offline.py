@@ -9,6 +9,7 @@ import hashlib
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
+from functools import partial
 from pathlib import Path
 from typing import Self
 
@@ -204,9 +205,10 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
 
 def answered(asked: SignRequest, keystore: Keystore, *, now: datetime) -> bytes:
     """The answer to a sign request whose participants are issued: a bundle for each."""
-    names, numbers = [spec.name for spec in asked.specs], BundleNumbers.of(keystore)
-    bundles = (Bundle.of(keystore, [name], now=now, keys=False, numbers=numbers) for name in names)
-    files = {_bundle_file(each.names[0]): each.to_bytes() for each in bundles}
+    names = [spec.name for spec in asked.specs]
+    with BundleNumbers.of(keystore) as numbers:
+        one = partial(Bundle.of, keystore, now=now, keys=False, numbers=numbers)
+        files = {_bundle_file(name): one([name]).to_bytes() for name in names}
     about = {
         "created": now.isoformat(timespec="seconds"),
         "request_sha256": asked.sha256,

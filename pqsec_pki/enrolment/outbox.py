@@ -21,15 +21,15 @@ def refresh(
     The bundles have no private keys. An older bundle for the same participant is replaced;
     ExistsError for anything else in its place. Errors as in `Bundle.of` and `save`.
     """
-    numbers = BundleNumbers.of(keystore)
     wanted = list(names)
-    for name in counted(wanted, len(wanted), "bundles"):
-        goal = bundle_path(folder, name)
-        bundle = Bundle.of(keystore, [name], now=now, keys=False, numbers=numbers)
-        there = _bundle_at(goal, name)
-        if there is None or there.sha256 != bundle.sha256:
-            save(goal, bundle.to_bytes(), force=there is not None)
-            yield goal
+    with BundleNumbers.of(keystore) as numbers:
+        for name in counted(wanted, len(wanted), "bundles"):
+            goal = bundle_path(folder, name)
+            bundle = Bundle.of(keystore, [name], now=now, keys=False, numbers=numbers)
+            there = _bundle_at(goal, name)
+            if there is None or there.sha256 != bundle.sha256:
+                save(goal, bundle.to_bytes(), force=there is not None)
+                yield goal
 
 
 def _bundle_at(goal: Path, name: str) -> Bundle | None:

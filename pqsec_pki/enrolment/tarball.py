@@ -4,7 +4,6 @@ An archive is untrusted input. It may contain only plain files with relative nam
 limits of number and size, and nothing is unpacked to the disk.
 """
 
-import gzip
 import io
 import re
 import tarfile
@@ -40,7 +39,9 @@ def pack(files: Mapping[str, bytes]) -> bytes:
             member = tarfile.TarInfo(name)
             member.size, member.mode = len(files[name]), 0o600
             tarball.addfile(member, io.BytesIO(files[name]))
-    return gzip.compress(out.getvalue(), mtime=0)
+    # Keys and signatures hardly repeat: to search for more takes twice the time, and gains 8 %.
+    packer = zlib.compressobj(1, wbits=_GZIPPED, strategy=zlib.Z_RLE)
+    return packer.compress(out.getvalue()) + packer.flush()
 
 
 def unpack(data: bytes) -> dict[str, bytes]:

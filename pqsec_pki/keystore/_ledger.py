@@ -141,6 +141,23 @@ class Ledger:
         """The entries of that kind and name, oldest first."""
         return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
 
+    def count(self, kind: str, name: str) -> int:
+        """The number of lines of that kind and name."""
+        return self._number("SELECT count(*) FROM ledger WHERE kind = ? AND name = ?", kind, name)
+
+    def line_of(self, kinds: Collection[str], sha256: str) -> int:
+        """The number of the newest line of these kinds with that SHA-256; 0 if there is none."""
+        marks = ", ".join("?" for _ in kinds)
+        return self._number(
+            f"SELECT ifnull(max(number), 0) FROM ledger WHERE kind IN ({marks}) AND sha256 = ?",  # noqa: S608 -- no outside text
+            *kinds,
+            sha256,
+        )
+
+    def row(self, number: int) -> Row | None:
+        """What the tree is over, of line `number`."""
+        return next((each for each in self.rows(after=number - 1) if each[0] == number), None)
+
     def newest(self, kind: str) -> list[Entry]:
         """The newest entry of that kind for each name."""
         return self._find(
@@ -175,6 +192,11 @@ class Ledger:
                 "SELECT sha256, number FROM ledger WHERE kind = ?", (kind,)
             )
             return dict(rows.fetchall())
+
+    def _number(self, query: str, *values: str) -> int:
+        with self._errors():
+            found: int = self._database.execute(query, values).fetchone()[0]
+            return found
 
     def _find(self, condition: str, *values: str) -> list[Entry]:
         with self._errors():

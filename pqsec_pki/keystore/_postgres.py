@@ -46,13 +46,16 @@ _SESSION_SQL = (
     " WHEN 'off' THEN 'on' ELSE current_setting('synchronous_commit') END, false)"
 )
 _COLUMNS = f"number, {_table.COLUMNS}, chain"
-_SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger ORDER BY number"  # noqa: S608 -- no outside text
+_SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger WHERE number > %s ORDER BY number"  # noqa: S608 -- no outside text
 _COPY = f"COPY pqsec.ledger ({_COLUMNS}) FROM STDIN"
 _KEEP = "INSERT INTO pqsec.files (sha256, content) VALUES (%s, %s) ON CONFLICT DO NOTHING"
 _KEPT = "SELECT sha256, content FROM pqsec.files WHERE sha256 = ANY(%s)"
 _MODE, _VERIFIED = "PGSSLMODE", "verify-full"
 _BATCH = 5000
 """Rows of one answer."""
+_known: dict[str, tuple[int, str, bytes]] = {}
+"""By address the ledger as this process read it last: its last line and all lines. Lines are only
+added, so who reads it again, as a server does, asks for the newer ones."""
 _NOTHING = "nothing was changed: run the command again when the database answers"
 _GUIDE = "docs/how-to/postgresql.md"
 
@@ -100,12 +103,24 @@ class PostgresLedger:
         if self._copy is not None:
             database.deserialize(self._copy)
             return
+        with self._errors(), self._snapshot():
+            self._load(database)
+        copy = database.serialize()
+        _known[self.address.url] = (*_table.last(database), copy)
+        if self._in_change:
+            self._copy = copy
+
+    def _load(self, database: sqlite3.Connection) -> None:
+        number, chain, copy = _known.get(self.address.url, (0, "", b""))
+        known = copy and self.has(number, chain)
+        if known:
+            database.deserialize(copy)
         pages = database.execute("PRAGMA page_size").fetchone()[0]
         database.execute(f"PRAGMA max_page_count = {_ledger_file.MAX_SIZE // pages}")
-        with self._errors(), self._snapshot():
+        if known:
+            _table.extend(database, self._rows(number))
+        else:
             _table.fill(database, self._rows())
-        if self._in_change:
-            self._copy = database.serialize()
 
     def hold(self) -> None:
         """Exclude other writers until the connection is closed."""
@@ -158,10 +173,10 @@ class PostgresLedger:
             ).fetchone()
         return found == (chain,)
 
-    def _rows(self) -> Iterator[tuple[Any, ...]]:
+    def _rows(self, after: int = 0) -> Iterator[tuple[Any, ...]]:
         with self._connection.cursor(name="pqsec") as cursor:
             cursor.itersize = _BATCH
-            yield from cursor.execute(_SELECT)
+            yield from cursor.execute(_SELECT, (after,))
 
     @contextmanager
     def _snapshot(self) -> Iterator[None]:

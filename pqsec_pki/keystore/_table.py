@@ -108,6 +108,12 @@ def fill(database: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:
         database.executemany(_FILL, rows)
 
 
+def extend(database: sqlite3.Connection, rows: Iterable[tuple[Any, ...]]) -> None:
+    """Add such rows to a database that has the lines before them."""
+    with transaction(database):
+        database.executemany(_FILL, rows)
+
+
 def rows(database: sqlite3.Connection, *, after: int = 0) -> Iterator[tuple[Any, ...]]:
     """Such rows of the lines after number `after`, oldest first."""
     query = f"SELECT number, {COLUMNS}, chain FROM ledger WHERE number > ? ORDER BY number"  # noqa: S608

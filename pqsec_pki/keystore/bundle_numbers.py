@@ -5,8 +5,10 @@ participant's files adds lines, so the number grows with it.
 """
 
 import hashlib
-from collections.abc import Iterator, Mapping
-from dataclasses import field, replace
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import field
+from functools import partial
 from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
@@ -19,6 +21,7 @@ from pqsec_pki.keystore.overlap import TRUST, TRUST_END
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore.proofs import LedgerProofs
+    from pqsec_pki.transparency import MerkleTree
 
 _KINDS = (
     *("identity-ca", "permissions-ca", "participant"),
@@ -31,10 +34,10 @@ MAX_NUMBER = (1 << 63) - 1
 
 @dataclass(frozen=True, slots=True)
 class BundleNumbers:
-    """The ledger's lines about files, read once for all bundles."""
+    """The ledger's lines about files, for all bundles that are made at once."""
 
-    lines: Mapping[str, int] = field(repr=False)
-    """The number of each line, by its SHA-256."""
+    line_of: Callable[[str], int | None] = field(repr=False)
+    """The number of a line, by its SHA-256; 0 or None for none."""
     least: int
     """The line that ended the last overlap, which put an older CA file into every enclave; 0 if
     there is none."""
@@ -42,26 +45,35 @@ class BundleNumbers:
     """The proofs for bundles; None if there are none, or they were not asked for."""
 
     @classmethod
-    def of(cls, keystore: Keystore) -> Self:
-        """Numbers and proofs for bundles of `keystore`; KeystoreError if its ledger is damaged."""
+    @contextmanager
+    def of(cls, keystore: Keystore, tree: "MerkleTree | None" = None) -> Iterator[Self]:
+        """Numbers and proofs for bundles of `keystore`; KeystoreError if its ledger is damaged.
+
+        `tree` is as in `LedgerProofs.of`.
+        """
         from pqsec_pki.keystore.proofs import LedgerProofs  # noqa: PLC0415 -- `status` makes none
 
         with keystore.open_ledger() as ledger:
-            return replace(cls.among(ledger), proofs=LedgerProofs.of(keystore.root, ledger))
+            proofs = LedgerProofs.of(keystore.root, ledger, tree)
+            yield cls(partial(ledger.line_of, _KINDS), _least(ledger), proofs)
 
     @classmethod
     def among(cls, ledger: Ledger) -> Self:
-        """The numbers, from an open ledger."""
+        """The numbers for all robots at once; all are read from the ledger now."""
         lines = {sha256: line for kind in _KINDS for sha256, line in ledger.numbers(kind).items()}
-        return cls(lines, max(ledger.numbers(TRUST_END).values(), default=0))
+        return cls(lines.get, _least(ledger))
 
     def number(self, files: Mapping[str, bytes]) -> int | None:
         """The number of a bundle with these files of an enclave, by name.
 
         None if the ledger knows none of them.
         """
-        found = [self.lines[each] for each in _hashes(files) if each in self.lines]
+        found = [line for each in _hashes(files) if (line := self.line_of(each))]
         return max(*found, self.least) if found else None
+
+
+def _least(ledger: Ledger) -> int:
+    return max(ledger.numbers(TRUST_END).values(), default=0)
 
 
 def bundle_number(value: object) -> int | None:

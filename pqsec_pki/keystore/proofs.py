@@ -3,33 +3,31 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import field
 from pathlib import Path
-from typing import Self, TypeAlias
+from typing import Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.credentials import LOGGED, logged_hashes
+from pqsec_pki.credentials import logged_hashes
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.keystore._ledger import Ledger, Row
 from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.transparency import Checkpoint, LedgerProof, MerkleTree, ProvenLine, leaf_of
 
-_Subject: TypeAlias = tuple[str, str]
-"""The kind and the SHA-256 of a line."""
-
 
 @dataclass(frozen=True, slots=True)
 class LedgerProofs:
-    """A signed head of a ledger and the tree below it, read once for all proofs."""
+    """A signed head of a ledger and the tree over its lines, for proofs that are made at once."""
 
     checkpoint: Checkpoint
     tree: MerkleTree = field(repr=False)
-    rows: Mapping[_Subject, Row] = field(repr=False)
-    """The lines that the head is over."""
+    ledger: Ledger = field(repr=False)
+    """It is open."""
 
     @classmethod
-    def of(cls, root: Path, ledger: Ledger) -> Self | None:
+    def of(cls, root: Path, ledger: Ledger, tree: MerkleTree | None = None) -> Self | None:
         """The proofs for `ledger`, of the keystore at `root`.
 
-        None if there is no signed head, or the ledger no longer has what was signed.
+        None if there is no signed head, or the ledger no longer has what was signed. Who makes
+        proofs again and again keeps a `tree`, which gets the lines that are new.
         """
         try:
             checkpoint = read_head(root)
@@ -37,20 +35,35 @@ class LedgerProofs:
             return None
         if checkpoint is None:
             return None
-        rows = [row for row in ledger.rows() if row[0] <= checkpoint.head.size]
-        tree = MerkleTree(leaf_of(*row) for row in rows)
-        if (tree.size, tree.root(tree.size)) != (checkpoint.head.size, checkpoint.head.root):
+        tree, size = tree or MerkleTree(), checkpoint.head.size
+        _grow(tree, ledger)
+        if tree.size < size or tree.root(size) != checkpoint.head.root:
+            tree.clear()
             return None
-        return cls(checkpoint, tree, {(row[1], row[3]): row for row in rows if row[1] in LOGGED})
+        return cls(checkpoint, tree, ledger)
 
     def proof(self, enclaves: Iterable[Mapping[str, bytes]]) -> LedgerProof | None:
         """The proof for the files of these enclaves; None if a line is not in the signed tree."""
         wanted = dict.fromkeys(each for files in enclaves for each in logged_hashes(files))
-        rows = [self.rows[each] for each in wanted if each in self.rows]
+        rows = [row for each in wanted if (row := self._row(*each))]
         if len(rows) < len(wanted):
             return None
         return LedgerProof(self.checkpoint, tuple(map(self._proven, rows)))
 
+    def _row(self, kind: str, sha256: str) -> Row | None:
+        """The line, if the head is over it."""
+        number = self.ledger.line_of((kind,), sha256)
+        return self.ledger.row(number) if 0 < number <= self.checkpoint.head.size else None
+
     def _proven(self, row: Row) -> ProvenLine:
-        path = self.tree.inclusion(row[0] - 1, self.tree.size)
+        path = self.tree.inclusion(row[0] - 1, self.checkpoint.head.size)
         return ProvenLine(*row, path=tuple(path))
+
+
+def _grow(tree: MerkleTree, ledger: Ledger) -> None:
+    """Append the lines that are not in the tree; all again, if its last one is another now."""
+    if tree.size:
+        last = ledger.row(tree.size)
+        if last is None or leaf_of(*last) != tree.leaf(tree.size - 1):
+            tree.clear()
+    tree.extend(leaf_of(*row) for row in ledger.rows(after=tree.size))

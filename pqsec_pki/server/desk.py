@@ -45,6 +45,7 @@ from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.transparency import MerkleTree
 
 _NOT_DONE = "the server could not do it: its log says why"
 
@@ -63,6 +64,8 @@ class Desk:
     any_time: bool = False
     retry: int = 60
     factories: Mapping[str, Factory] = field(default_factory=dict)
+    tree: MerkleTree = field(default_factory=MerkleTree, repr=False)
+    """Over the ledger's lines, kept for the next proofs."""
     list_validity: timedelta | None = None
     """Of revocation lists that are issued by themselves; None for none."""
     seen: SeenLedger = field(default_factory=SeenLedger)
@@ -119,15 +122,15 @@ class Desk:
                 elsewhere = self._fetched(ledger, again)
             self._record(admitted)
             failures = self._issue([each for each in admitted if each.spec])
-            numbers = BundleNumbers.of(self.keystore)
-            return [
-                each
-                if isinstance(each, SignerAnswer)
-                else self._answered(call, each, failures, numbers)
-                if each.spec or each.name not in elsewhere
-                else _refused(_misdirected(each.name))
-                for call, each in zip(calls, decided, strict=True)
-            ]
+            with BundleNumbers.of(self.keystore, self.tree) as numbers:
+                return [
+                    each
+                    if isinstance(each, SignerAnswer)
+                    else self._answered(call, each, failures, numbers)
+                    if each.spec or each.name not in elsewhere
+                    else _refused(_misdirected(each.name))
+                    for call, each in zip(calls, decided, strict=True)
+                ]
 
     def _admission(self, ledger: Ledger) -> Admission:
         return Admission(
@@ -223,7 +226,8 @@ class Desk:
             newest = ledger.of_name("participant", holder.name)[-1].sha256
         if elsewhere or self._here(holder.name) != newest:
             raise _misdirected(holder.name)
-        return self._bundle(holder.name, BundleNumbers.of(self.keystore))
+        with BundleNumbers.of(self.keystore, self.tree) as numbers:
+            return self._bundle(holder.name, numbers)
 
     def _here(self, name: str) -> str:
         """The SHA-256 of the participant's certificate in the keystore; empty if it has none."""

@@ -52,11 +52,11 @@ class TokenState:
             names=details.get("names", ""),
             secret_hash=entry.sha256,
             uses=int(details["uses"]),
-            used=len(ledger.of_name(ADMISSION, by_token(entry.name))),
+            used=ledger.count(ADMISSION, by_token(entry.name)),
             replaces=details.get("replaces") == "yes",
             made_at=entry.made_at,
             not_after=entry.ends,
-            revoked=bool(ledger.of_name(TOKEN_END, entry.name)),
+            revoked=ledger.count(TOKEN_END, entry.name) > 0,
         )
 
     def admits(self, name: str) -> bool:

@@ -63,12 +63,30 @@ class CompactRange:
 class MerkleTree:
     """A tree with all its nodes, for proofs in it and in each of its earlier states."""
 
-    def __init__(self, leaves: Iterable[bytes]) -> None:
+    def __init__(self, leaves: Iterable[bytes] = ()) -> None:
         """The tree over these hashes of leaves; about 64 bytes for each."""
-        self._levels = [list(leaves)]
-        while len(below := self._levels[-1]) > 1:
-            pairs = zip(below[::2], below[1::2], strict=False)
-            self._levels.append([node_hash(left, right) for left, right in pairs])
+        self._levels: list[list[bytes]] = [[]]
+        self.extend(leaves)
+
+    def extend(self, leaves: Iterable[bytes]) -> None:
+        """Append these hashes of leaves."""
+        self._levels[0] += leaves
+        height = 0
+        while len(below := self._levels[height]) > 1:
+            height += 1
+            if height == len(self._levels):
+                self._levels.append([])
+            above = self._levels[height]
+            lefts = range(2 * len(above), len(below) - 1, 2)
+            above += [node_hash(below[each], below[each + 1]) for each in lefts]
+
+    def clear(self) -> None:
+        """Remove all leaves."""
+        self._levels = [[]]
+
+    def leaf(self, index: int) -> bytes:
+        """The hash of leaf number `index`, from 0."""
+        return self._levels[0][index]
 
     @property
     def size(self) -> int:

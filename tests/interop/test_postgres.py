@@ -72,6 +72,27 @@ def test_the_ledger_of_a_keystore_is_in_the_database(first, cluster, database):
     check_whole(first)
 
 
+def test_who_reads_again_reads_what_is_new(first, second, cluster, database, monkeypatch):
+    asked = []
+    rows = _postgres.PostgresLedger._rows
+    monkeypatch.setattr(
+        _postgres.PostgresLedger,
+        "_rows",
+        lambda self, after=0: asked.append(after) or rows(self, after),
+    )
+    before = len(first.lines())
+    asked.clear()
+    assert len(first.lines()) == before
+    assert asked == [before]
+    issue_to(second.root, "/bob")
+    asked.clear()
+    assert len(first.lines()) == before + 2
+    assert min(asked) >= before
+    cluster.sql("DROP SCHEMA pqsec CASCADE", database)
+    cluster.sql(schema_sql(writers=[WRITER]), database)
+    assert first.lines() == []  # another ledger at the same address is read from its begin
+
+
 def test_two_machines_continue_one_chain(first, second):
     for number, each in enumerate([second, first, second, second, first]):
         issue_to(each.root, f"/n{number}")

@@ -45,6 +45,10 @@ def test_a_tree_that_grows_has_the_same_root(size, cut):
     assert (grown.size, grown.root) == (size, TREE.root(size))
     assert grown.is_sound
     assert not CompactRange(grown.size, grown.subtrees * 2).is_sound
+    tree = MerkleTree(LEAVES[:cut])
+    tree.extend(LEAVES[cut:size])
+    assert all(tree.root(each) == TREE.root(each) for each in (cut, size))
+    assert tree.inclusion(cut - 1, size) == TREE.inclusion(cut - 1, size)
 
 
 @given(SIZES, SIZES, st.data())

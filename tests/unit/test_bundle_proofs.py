@@ -11,11 +11,12 @@ from pqsec_pki.enrolment import Bundle, install, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.keystore import BundleNumbers
 from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.lifecycle import renew
 from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
-from pqsec_pki.transparency import Checkpoint, LedgerProof, TreeHead, leaf_hash
+from pqsec_pki.transparency import Checkpoint, LedgerProof, MerkleTree, TreeHead, leaf_hash
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of
 from tests.unit.keystores import enter, made
 from tests.unit.killing import NOW
@@ -109,6 +110,26 @@ def test_a_newer_head_of_the_same_documents_is_no_other_set(keystore, bundle, ro
     assert later.proof != bundle.proof
     assert later.sha256 == bundle.sha256
     assert put(robot, later, now=NOW + DAY).already
+
+
+def test_a_tree_that_is_kept_gives_the_proofs_of_a_new_one(tmp_path):
+    keystore, tree = made(tmp_path / "k", "classical"), MerkleTree()
+
+    def proven(kept):
+        with BundleNumbers.of(keystore, kept) as numbers:
+            return Bundle.of(keystore, ["/talker"], now=NOW, numbers=numbers).proof
+
+    for change in (
+        lambda: None,
+        lambda: renew(keystore, keystore.unlock(None), ["/talker"], now=NOW),
+        lambda: enter(keystore, [entry(900)]),  # no head is over it
+        lambda: renew(keystore, keystore.unlock(None), ["/listener"], now=NOW),
+    ):
+        change()
+        assert proven(tree) == proven(None) is not None
+        assert tree.size == len(keystore.lines())
+    rewrite(keystore, 2, operator="somebody else")
+    assert proven(tree) is proven(None) is None
 
 
 def altered(proof, at=0, **changes):

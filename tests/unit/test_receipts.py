@@ -106,8 +106,8 @@ def test_the_number_never_goes_back_even_if_a_ca_file_does(place):
 
 
 def test_files_that_the_ledger_does_not_know_give_no_number(keystore):
-    numbers = BundleNumbers.of(keystore)
-    assert numbers.number({"cert.pem": b"-----BEGIN", "permissions.p7s": b""}) is None
+    with BundleNumbers.of(keystore) as numbers:
+        assert numbers.number({"cert.pem": b"-----BEGIN", "permissions.p7s": b""}) is None
 
 
 def test_a_bundle_without_a_number_is_installed_and_has_none_in_its_receipt(keystore, place):
