@@ -228,12 +228,18 @@ def keystore(domains, tmp_path) -> Callable[..., Path]:
 
 
 @pytest.fixture(scope="session")
-def extension(tmp_path_factory) -> Run:
-    """extension(folder, "check robots") runs it where examples/extension is installed by pip."""
-    site = tmp_path_factory.mktemp("site")
+def extension_site(tmp_path_factory) -> Path:
+    """The folder into which pip installed examples/extension."""
+    site: Path = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-deps", "--no-build-isolation"]
     subprocess.run([*pip, "--no-index", "--target", site, EXTENSION], check=True)
-    path = os.pathsep.join([*sys.path, str(site)])
+    return site
+
+
+@pytest.fixture(scope="session")
+def extension(extension_site) -> Run:
+    """extension(folder, "check robots") runs it where examples/extension is installed."""
+    path = os.pathsep.join([*sys.path, str(extension_site)])
 
     def run(folder: Path, line: str) -> Result:
         done = subprocess.run(
