@@ -1,7 +1,8 @@
 """A command that is proposed: its words read again, what it would change, and its run."""
 
+import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -16,8 +17,8 @@ from pqsec_pki.cli import _settings
 from pqsec_pki.cli._bundles import load_requests
 from pqsec_pki.cli._policy import grants_in
 from pqsec_pki.cli._settings import APPROVED
-from pqsec_pki.documents import DomainSet, Grant, Permissions
-from pqsec_pki.domain import KINDS, CommandReview
+from pqsec_pki.documents import DomainSet, Grant, Permissions, lasting
+from pqsec_pki.domain import KINDS, CommandReview, rights_words
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import GROUP, Keystore, key_hashes
@@ -151,6 +152,7 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
         case "sign-request sign":
             asked = SignRequest.from_bytes(_files.read(params["file"], limit=MAX_ARCHIVE))
             yield from _certified(asked.requests)
+            yield from _wished(asked, now)
 
 
 def _members(names: Iterable[str], keystore: Keystore) -> Iterator[ChangedRights]:
@@ -173,8 +175,34 @@ def _of_policy(
 def _granted(grants: Iterable[Grant]) -> Iterator[ChangedRights]:
     for grant in grants:
         difference = permissions_diff(None, Permissions(grants=(grant,)))
-        words = (f"{each.sense}: {each.text}" for each in difference.changes)
-        yield ChangedRights((shown(grant.name),), tuple(shown(each, len(each)) for each in words))
+        words = [*rights_words(difference)]
+        if not difference.complete:  # other rules, of a file that is included, may have these words
+            rules = hashlib.sha256(repr((grant.rules, grant.default)).encode()).hexdigest()
+            words.append(f"rules with SHA-256 {rules}")
+        yield ChangedRights((shown(grant.name),), tuple(words))
+
+
+def _wished(asked: SignRequest, now: datetime) -> Iterator[ChangedRights]:
+    """What each participant of a sign request gets: what it wishes, or the role of an order."""
+    for spec in asked.specs:
+        days = spec.validity / timedelta(days=1)
+        yield _change(spec.name, f"a certificate that is valid for {days:g} days")
+    if order := asked.order:
+        for each in order.items:
+            yield _change(each.name, f"the role {each.role} of the grant {order.grant}")
+        return
+    for spec in asked.specs:
+        begin, end = lasting(now, spec.validity)
+        least = Grant.least(
+            name=spec.name,
+            subject_name=f"CN={spec.name}",
+            not_before=begin,
+            not_after=end,
+            domains=spec.domains,
+            publish=spec.publish,
+            subscribe=spec.subscribe,
+        )
+        yield from _granted(spec.grants or (least,))
 
 
 def _certified(requests: Iterable[CertificateRequest]) -> Iterator[ChangedRights]:

@@ -28,7 +28,12 @@ if TYPE_CHECKING:
     from pqsec_pki.domain.importing import Imported, import_domain
     from pqsec_pki.domain.ordered import OrderedIssue, ordered_issue, perform_order
     from pqsec_pki.domain.planning import plan
-    from pqsec_pki.domain.proposing import PlanReview, propose, refuse_unapproved
+    from pqsec_pki.domain.proposing import (
+        PlanReview,
+        propose,
+        refuse_unapproved,
+        rights_words,
+    )
     from pqsec_pki.domain.reading import desired_in, new_domain, read_domain
     from pqsec_pki.domain.requests import deliver_request
     from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
@@ -70,5 +75,6 @@ __all__ = [
     "read_domain",
     "refuse_mass_revocation",
     "refuse_unapproved",
+    "rights_words",
     "role_value",
 ]

@@ -73,7 +73,7 @@ class PlanReview:
         """The changes of rights, each with all who have it, and how long certificates last."""
         alike: dict[tuple[str, ...], list[str]] = {}
         for name, difference in (*self._issued(), *self._signed()):
-            alike.setdefault(tuple(_words(difference)), []).append(name)
+            alike.setdefault(tuple(rights_words(difference)), []).append(name)
         for step in self.plan.steps:
             if step.keys:
                 words = f"a certificate for the key with SHA-256 {step.keys}"
@@ -144,7 +144,8 @@ class PlanReview:
         return {each.name: each.sha256 for each in revocable(self.keystore, names, now=self.now)}
 
 
-def _words(difference: Difference) -> Iterator[str]:
+def rights_words(difference: Difference) -> Iterator[str]:
+    """The changes, in words for those who approve them."""
     for change in difference.changes:
         words = f"{change.sense}: {change.text}"
         yield shown(words, len(words))

@@ -6,10 +6,14 @@ from datetime import UTC, datetime
 
 import pytest
 
+from pqsec_pki.access import _witnesses
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.approvals import PlanProposal, proposal_file
 from pqsec_pki.approvals import approve as approval_by
+from pqsec_pki.cli._proposed import _granted
+from pqsec_pki.documents import DomainSet, Grant
 from tests.unit.approving import DOMAIN, make_key
+from tests.unit.keystores import DAY, NOW
 
 PROPOSE = "propose -o plan.json --key alice.pem"
 ROBOT = "request /new --profile classical --dir r"
@@ -110,6 +114,46 @@ def test_approvers_see_the_key_that_is_certified(run):
     done.done()
     [line] = [each for each in run("log --json").json["lines"] if each["name"] == "/new"][:1]
     assert key.split()[-1] == line["details"]["keys"]
+
+
+def test_approvers_see_the_rights_that_a_sign_request_wishes(run):
+    """They saw the key, and the file's name: what it gave was in the file."""
+    export = f"sign-request export {CSR} -o fleet.request --domain 3"
+    run(f"{export} --publish * --subscribe status --validity 700d").done()
+    told, done = decide(run, "sign-request sign fleet.request -o answer")
+    for words in (
+        "granted: publish every topic on domain 3",
+        "granted: subscribe 'status'",
+        "valid for 700 days",
+    ):
+        assert words in told.out
+    done.done()
+    run(f"{export} --policy policy.xml --force").refused(3)
+    (run.folder / "policy.xml").write_text(POLICY)
+    (run.folder / "more.xml").write_text(MORE)
+    run(f"{export} --policy policy.xml --force").done()
+    told = run(f"{PROPOSE} --force sign-request sign fleet.request -o answer").done()
+    assert "  granted: publish 'rt/pose'" in told.out
+
+
+def test_rights_that_cannot_be_compared_wholly_are_approved_by_their_hash(monkeypatch):
+    """Two policies with one file included had the same words, if the words were not all."""
+    monkeypatch.setattr(_witnesses, "MAX_WORK", 0)
+    found = []
+    for topic in ("a*", "b*"):
+        grant = Grant.least(
+            name="/r",
+            subject_name="CN=/r",
+            not_before=NOW,
+            not_after=NOW + DAY,
+            domains=DomainSet.of(0),
+            publish=(topic,),
+        )
+        [changed] = _granted([grant])
+        assert "not all can be compared: there may be more" in changed.changes
+        found.append(changed.changes[-1])
+    assert found[0].startswith("rules with SHA-256 ")
+    assert found[0] != found[1]
 
 
 def test_another_file_than_the_approved_one_is_refused(run):
@@ -276,4 +320,6 @@ def test_a_registration_authority_by_two_people(run):
     run("request /line/a --profile classical --dir a").done()
     csr = "a/requests/line+a/request.csr"
     run(f"sign-request export {csr} --grant line1.grant --key line1.pem -o order").done()
+    told = run(f"{PROPOSE} --force sign-request sign order -o answer").done()
+    assert "  the role robot of the grant " in told.out
     run("sign-request sign order -o answer --ra-only").done()
