@@ -34,6 +34,13 @@ if TYPE_CHECKING:
         TEXT,
     )
     from pqsec_pki.est.robot import Obtained, deliver_receipt, enrol, renew
+    from pqsec_pki.est.signing import (
+        CERTIFICATE_HEADER,
+        SCHEME,
+        NotSignedError,
+        RequestSigner,
+        verify_signed,
+    )
     from pqsec_pki.est.tls import (
         GROUP,
         ServerTrust,
@@ -58,6 +65,7 @@ else:
 __all__ = [
     "BUNDLE",
     "BUNDLE_TYPE",
+    "CERTIFICATE_HEADER",
     "CSRATTRS",
     "EST",
     "GROUP",
@@ -72,12 +80,15 @@ __all__ = [
     "RECEIPT_TYPE",
     "REQUESTS",
     "REVOCATION_LIST",
+    "SCHEME",
     "TEXT",
     "EnrolmentToken",
     "EstClient",
     "KeyTerms",
     "KnownServer",
+    "NotSignedError",
     "Obtained",
+    "RequestSigner",
     "ServerAnswer",
     "ServerTrust",
     "TlsIdentity",
@@ -100,4 +111,5 @@ __all__ = [
     "spki_pin",
     "to_base64",
     "verify_est_request",
+    "verify_signed",
 ]

@@ -23,6 +23,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.enrolment import MAX_ARCHIVE
 from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.est.paths import PROBLEM
+from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.stream import TlsStream
 from pqsec_pki.est.tls import ServerTrust, TlsIdentity, client_context
 
@@ -69,6 +70,8 @@ class EstClient:
     """Its URL, as of `checked_url`."""
     trust: ServerTrust
     identity: TlsIdentity | None = None
+    signer: RequestSigner | None = None
+    """Who signs each request, if TLS has no keys of that kind."""
     secret: tuple[str, str] | None = field(default=None, repr=False)
     """Id and secret of an enrolment token."""
     classical: bool = False
@@ -121,6 +124,10 @@ class EstClient:
     ) -> ServerAnswer:
         connection = _Https(self, place)
         try:
+            stream = connection.connected()
+            if self.signer:
+                signed = self.signer.headers(stream.connection, method, path, body or b"")
+                headers = {**headers, **signed}
             connection.request(method, path, body, {**self._headers, **headers})
             return self._answer(connection.getresponse())
         except ASKING_FAILS as error:
@@ -188,6 +195,12 @@ class _Https(HTTPConnection):
         stream.handshake(classical=client.classical)
         stream.allow(ANSWERING)
         self.sock: Any = stream
+
+    def connected(self) -> TlsStream:
+        """The connection of TLS, now."""
+        self.connect()
+        stream: TlsStream = self.sock
+        return stream
 
     def end(self) -> None:
         """Close the connection; http.client's own `close` comes before the answer is read."""

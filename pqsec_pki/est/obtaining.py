@@ -3,6 +3,7 @@
 import time
 from collections.abc import Mapping
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
@@ -18,8 +19,9 @@ from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.est.client import EstClient, ServerAnswer
 from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.paths import PEM_FILE, REQUESTS
-from pqsec_pki.est.tls import TlsIdentity
-from pqsec_pki.tokens import Pin, stored_pin
+from pqsec_pki.est.signing import RequestSigner
+from pqsec_pki.est.tls import TlsIdentity, is_for_tls
+from pqsec_pki.tokens import Pin, is_reference, stored_pin, uri_in
 
 CLOCKS_DIFFER = timedelta(minutes=5)
 """A smaller difference is not told."""
@@ -129,12 +131,22 @@ def held_by(files: Enclave) -> Certificate:
     return Certificate.from_pem(files[CERTIFICATE])
 
 
-def client_with(known: KnownServer, files: Enclave) -> EstClient:
-    """A client that shows the participant's certificate; errors as of `TlsIdentity.of`."""
-    identity = TlsIdentity.of(files[CERTIFICATE], files[KEY])
+def client_with(known: KnownServer, files: Enclave, pin: Pin = stored_pin) -> EstClient:
+    """A client that shows the participant's certificate, or signs what it asks with its keys."""
+    by_tls = is_for_tls(files[KEY])
     return EstClient(
-        server=known.server, trust=known.trust, classical=known.classical, identity=identity
+        server=known.server,
+        trust=known.trust,
+        classical=known.classical,
+        identity=TlsIdentity.of(files[CERTIFICATE], files[KEY]) if by_tls else None,
+        signer=None if by_tls else RequestSigner.of(files, pin),
     )
+
+
+def with_places(terms: KeyTerms, files: Enclave) -> KeyTerms:
+    """The terms of a renewal: a key in a token stays there, unless they name another place."""
+    there = {each: uri_in(files[each]) for each in KEYS if is_reference(files.get(each, b""))}
+    return replace(terms, uris={**there, **(terms.uris or {})}) if there else terms
 
 
 def _kinds(held: Certificate | None) -> Profile:

@@ -30,6 +30,7 @@ from pqsec_pki.est.obtaining import (
     installed,
     is_requested,
     take,
+    with_places,
 )
 from pqsec_pki.est.paths import BUNDLE, RECEIPT_TYPE, RECEIPTS
 from pqsec_pki.keystore import State, expanded, regular_name
@@ -162,7 +163,8 @@ def _renewed(  # noqa: PLR0913 -- by name
     rekey: bool,
 ) -> Obtained:
     before = installed(root)[name]
-    held, client = held_by(before), client_with(known, before)
+    held, client = held_by(before), client_with(known, before, terms.pin)
+    terms = with_places(terms, before)
     failed: PqsecError | None = None
     state = State.at(now, held.not_before, held.not_after, due)
     if rekey or state.calls_for_renewal:

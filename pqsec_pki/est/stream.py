@@ -43,6 +43,11 @@ class TlsStream:
         if not classical:
             refuse_classical(self._tls)
 
+    @property
+    def connection(self) -> SSL.Connection:
+        """The connection of TLS."""
+        return self._tls
+
     def sendall(self, data: bytes) -> None:
         """Send all of `data`."""
         while data:

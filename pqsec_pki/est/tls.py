@@ -47,8 +47,7 @@ class TlsIdentity:
         if is_reference(key):
             raise PqsecError(
                 "TLS needs the key in a file, and this one is in a token",
-                hint="renew with a request that is carried (`pqsec request`, `pqsec issue --csr`),"
-                " or with a new enrolment token",
+                hint="name a key in a file, or use an enrolment token",
             )
         algorithm = load_private_key(key).algorithm
         if algorithm.parts:
@@ -68,6 +67,11 @@ class ServerTrust:
     do not matter, so that a robot with a wrong clock reaches its server."""
     authorities: bytes = field(default=b"", repr=False)
     """Without pins: CAs in PEM, one of which issued a valid certificate for the server's name."""
+
+
+def is_for_tls(key: bytes) -> bool:
+    """Whether TLS can use the key in the content of a file; errors as of `load_private_key`."""
+    return not is_reference(key) and not load_private_key(key).algorithm.parts
 
 
 def spki_pin(certificate: Certificate) -> str:

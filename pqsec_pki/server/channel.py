@@ -31,7 +31,9 @@ _REFUSALS = {
     503: b"Service Unavailable\r\nRetry-After: 10",
 }
 MOST_HEADERS = 64
-"""Lines of the header of a request; all together have at most 16 kB, which is Twisted's limit."""
+"""Lines of the header of a request; each has at most 16 kB, which is Twisted's limit."""
+MOST_OCTETS = 24 << 10
+"""Of all lines: the certificate and the signature of an ML-DSA-87 key have 17 kB."""
 
 
 class LimitedRequest(Request):
@@ -77,6 +79,7 @@ class LimitedChannel(HTTPChannel):
 
     requestFactory = LimitedRequest  # noqa: N815
     maxHeaders = MOST_HEADERS  # noqa: N815
+    totalHeadersSize = MOST_OCTETS  # noqa: N815
     factory: "Channels"
     _deadline: IDelayedCall | None = None
 

@@ -22,12 +22,16 @@ from pqsec_pki._times import rfc3339
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.est import (
+    CERTIFICATE_HEADER,
     EST,
     PROBLEM,
     RECEIPTS,
+    SCHEME,
     TEXT,
+    NotSignedError,
     from_base64,
     verify_est_request,
+    verify_signed,
 )
 from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
@@ -42,6 +46,7 @@ _GIVEN = {200, 204}
 _RECEIPT = 16
 """A receipt may be so many times larger than a request: it has several participants."""
 _LONGEST_SHOWN = 80
+_ONLY_OWN = "a signed request is for paths of pqsec, and without a client certificate"
 _BASIC = "Authorization must be Basic, once, with the token's id and secret"
 
 
@@ -92,6 +97,9 @@ class Front:
             return
         try:
             call = _call(route, request, exchange)
+        except NotSignedError as error:
+            exchange.finish(SignerAnswer(status=401, detail=str(error)))
+            return
         except (MalformedError, VerificationError) as error:
             exchange.finish(SignerAnswer(status=400, detail=str(error)))
             return
@@ -205,7 +213,7 @@ def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCa
         address=exchange.address,
         token=token,
         secret=secret,
-        certificate=request.channel.peer(),
+        certificate=_certificate(route, request),
         chain=request.channel.peer_chain(),
         body=_content(route, request),
     )
@@ -229,10 +237,37 @@ def _content(route: Route, request: LimitedRequest) -> bytes:
     return CertificateRequest.from_der(body).der
 
 
+def _certificate(route: Route, request: LimitedRequest) -> bytes:
+    """The certificate whose key the client has, by TLS or by a signature over this request.
+
+    MalformedError for both, and in EST, which has no such signature.
+    """
+    shown, signatures = request.channel.peer(), _signatures(request)
+    if not signatures:
+        return shown
+    if shown or route.is_est:
+        raise MalformedError(_ONLY_OWN)
+    return verify_signed(
+        request.channel.connection,
+        method=request.method.decode("ascii"),
+        path=request.path.decode("ascii"),
+        body=request.content.getvalue(),
+        certificates=_header(request, CERTIFICATE_HEADER),
+        signatures=signatures,
+    ).der
+
+
+def _signatures(request: LimitedRequest) -> str:
+    """What follows the scheme of signed requests; empty for another scheme."""
+    given = _header(request, "Authorization")
+    scheme, _, value = given[0].partition(" ") if len(given) == 1 else ("", "", "")
+    return value if scheme.upper() == SCHEME else ""
+
+
 def _credentials(request: LimitedRequest) -> tuple[str, str]:
     """The token's identifier and secret (RFC 7617); MalformedError for another scheme."""
     given = _header(request, "Authorization")
-    if not given:
+    if not given or _signatures(request):
         return "", ""
     scheme, _, value = given[0].partition(" ")
     if len(given) > 1 or scheme.lower() != "basic":

@@ -10,7 +10,7 @@ import json
 import re
 import tempfile
 from contextlib import suppress
-from functools import cache
+from functools import cache, lru_cache
 from http.client import HTTPResponse
 from io import BytesIO
 from pathlib import Path
@@ -279,13 +279,18 @@ def _http(line, body=b"", media="", more=""):
 
 
 class Direct:
-    """The signer, asked without a socket."""
+    """The signer, asked without a socket, and once for the same call: the clock stands."""
 
     open = 0
     trouble = ""
 
     def ask(self, call, then):
-        then(world().answer(SignerCall.of(*unpacked(reader(call.to_bytes())))))
+        then(_answer(call.to_bytes()))
+
+
+@lru_cache(maxsize=1000)
+def _answer(call):
+    return world().answer(SignerCall.of(*unpacked(reader(call))))
 
 
 class Wire(StringTransport):

@@ -69,21 +69,22 @@ def test_neither_the_key_nor_the_pin_is_in_a_file_or_an_output(ca):
     assert not [path for path in files if b"PRIVATE KEY" in path.read_bytes()]
 
 
-def test_a_key_in_the_token_enrols_over_a_network_and_is_told_that_it_cannot_renew(ca):
+def test_a_key_in_the_token_enrols_over_a_network_and_renews_with_signed_requests(ca):
     keystore = Keystore.open(ca.folder / "k", to_change=True)
     with serving(keystore, identity("ecdsa-p256")) as server:
-        server.anybody, server.now = True, datetime.now(UTC)
+        server.now = datetime.now(UTC)
         trust = ("--server-pin", pin(server.shown), "--trust-first", "--profile", "classical")
-        enrol = ("enrol", server.url, "--name", "robot", *trust, *IN_TOKEN)
-        assert "has a new certificate" in ca.pqsec(*enrol)
-        assert (in_use(ca) / "key.pem").read_text().startswith("-----BEGIN PKCS#11")
-        said = ca.pqsec("renew", "--from", server.url, exit_code=3)
-        assert "TLS needs the key in a file, and this one is in a token" in said
+        server.anybody = True
+        said = ca.pqsec("enrol", server.url, "--name", "robot", *trust, *IN_TOKEN)
+        assert "has a new certificate" in said
+        server.anybody = False
         before = (in_use(ca) / "cert.pem").read_bytes()
+        assert "is up to date" in ca.pqsec("renew", "--from", server.url)
         time.sleep(1.1)  # the next certificate is to be newer, in seconds
         server.now = datetime.now(UTC)
-        assert "has a new certificate" in ca.pqsec(*enrol, "--force")
+        assert "has a new certificate" in ca.pqsec("renew", "--from", server.url, "--rekey")
         assert (in_use(ca) / "cert.pem").read_bytes() != before
+        assert (in_use(ca) / "key.pem").read_text().startswith("-----BEGIN PKCS#11")
 
 
 def test_a_key_that_is_there_is_used_and_stays_when_the_request_fails(ca):

@@ -15,7 +15,14 @@ from OpenSSL import SSL
 
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.enrolment import Bundle
-from pqsec_pki.est import ServerTrust, peer_certificate, server_context
+from pqsec_pki.est import (
+    CERTIFICATE_HEADER,
+    SCHEME,
+    ServerTrust,
+    peer_certificate,
+    server_context,
+    verify_signed,
+)
 from pqsec_pki.keystore import Keystore
 from tests.unit.enrolling import answered
 from tests.unit.killing import NOW
@@ -101,6 +108,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def do_GET(self):
         self.server.seen.append((self.command, self.path))
+        self.body = b""
         if self.special():
             return
         name = self.caller()
@@ -151,7 +159,18 @@ class Handler(BaseHTTPRequestHandler):
         return reply is not None
 
     def caller(self):
-        found = peer_certificate(self.request.tls)
+        scheme, _, signatures = (self.headers["Authorization"] or "").partition(" ")
+        if scheme == SCHEME:
+            found = verify_signed(
+                self.request.tls,
+                method=self.command,
+                path=self.path,
+                body=self.body,
+                certificates=self.headers.get_all(CERTIFICATE_HEADER),
+                signatures=signatures,
+            )
+        else:
+            found = peer_certificate(self.request.tls)
         return found and found.subject_name.removeprefix("CN=")
 
     def problem(self, status, detail):
