@@ -63,7 +63,7 @@ def list_(file: Path) -> None:
     "approve",
     examples={
         "Approve a request, by its SHA-256": (
-            "pqsec requests approve 0123456789ab --config serve.yaml"
+            "pqsec requests approve 0123456789abcdef --config serve.yaml"
         ),
     },
     exit_codes={
@@ -79,7 +79,7 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
     """Approve requests. If the robot has a certificate for another key, it is replaced.
 
     Other requests for the same name are dropped; they wait again if their robots ask again.
-    SHA256 are 8 or more digits of the request's SHA-256. The ledger gets the decision, with who
+    SHA256 are 16 or more digits of the request's SHA-256. The ledger gets the decision, with who
     made it. Where rights that grow need approvals, the requests are put where the domain file names
     them, for `pqsec plan`, and the robots get what the approved plan issues.
     """
@@ -89,7 +89,7 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
 @requests.command(
     "refuse",
     examples={
-        "Refuse a request": "pqsec requests refuse 0123456789ab --config serve.yaml",
+        "Refuse a request": "pqsec requests refuse 0123456789abcdef --config serve.yaml",
     },
     exit_codes={
         0: "refused for ever: the robot must make a new request",

@@ -126,8 +126,8 @@ class Admission:
         if decision == APPROVAL and late:
             words = f"{name} got a certificate since the request was approved: send a new request"
             raise NotAdmittedError(403, words)
-        if decision != APPROVAL and not self.waiting.add(request, name, call.address, self.now):
-            raise NotAdmittedError(503, "too many requests wait", retry_after=self.retry)
+        if decision != APPROVAL:
+            self.waiting.add(request, name, call.address, self.now)
         if decision != APPROVAL or (self._by_plan and not planned):
             words = f"the request waits for approval: SHA-256 {request.fingerprint}"
             raise NotAdmittedError(202, words, retry_after=self.retry)

@@ -23,7 +23,8 @@ from zope.interface import implementer
 
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.est import peer_certificate, peer_chain, refuse_classical
-from pqsec_pki.server.limiting import Connections, Shares, key_of
+from pqsec_pki.server.addresses import key_of
+from pqsec_pki.server.limiting import Connections, Shares
 
 _REFUSALS = {
     411: b"Length Required",

@@ -8,6 +8,7 @@ the certificate is issued when that is applied.
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from datetime import datetime
+from pathlib import Path
 
 from pqsec_pki.approvals import ApprovalPolicy, Covered
 from pqsec_pki.certificates import CertificateRequest
@@ -15,7 +16,7 @@ from pqsec_pki.domain import deliver_request, read_domain
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Entry, Keystore, Ledger, change, participant_states
 from pqsec_pki.server.configuration import ServerSettings
-from pqsec_pki.server.waiting import WaitingRequest
+from pqsec_pki.server.waiting import WaitingRequest, WaitingRoom
 
 APPROVAL, REFUSAL = "request-approval", "request-refusal"
 """Kinds of lines; they have the SHA-256 of the request."""
@@ -56,7 +57,7 @@ def decide(
         raise UsageError(f"approve one request for {', '.join(several)}: the last would replace it")
     with change(keystore.root) as transaction:
         if kind == APPROVAL and demanded(keystore.approvals):
-            _deliver(chosen, settings)
+            _deliver(chosen, room, settings.domain)
         transaction.record(*(_entry(each, kind, now) for each in chosen))
     done = {each.sha256 for each in chosen}
     for each in room.all():
@@ -78,12 +79,12 @@ def replacing(
     )
 
 
-def _deliver(chosen: Iterable[WaitingRequest], settings: ServerSettings) -> None:
-    members = read_domain(settings.domain).members
+def _deliver(chosen: Iterable[WaitingRequest], room: WaitingRoom, domain: Path) -> None:
+    members = read_domain(domain).members
     if missing := [each.name for each in chosen if each.name not in members]:
-        raise UsageError(f"{settings.domain} does not name {', '.join(missing)} any more")
+        raise UsageError(f"{domain} does not name {', '.join(missing)} any more")
     for each in chosen:
-        deliver_request(members[each.name], each.request)
+        deliver_request(members[each.name], room.request(each))
 
 
 def _entry(waits: WaitingRequest, kind: str, now: datetime) -> Entry:

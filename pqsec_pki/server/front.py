@@ -33,11 +33,12 @@ from pqsec_pki.est import (
     verify_est_request,
     verify_signed,
 )
+from pqsec_pki.server.addresses import key_of
 from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.channel import LimitedRequest
 from pqsec_pki.server.configuration import ServerLimits
-from pqsec_pki.server.limiting import Rate, RecentKeys, key_of
+from pqsec_pki.server.limiting import Rate, RecentKeys
 from pqsec_pki.server.routes import Route
 from pqsec_pki.server.sending import send
 

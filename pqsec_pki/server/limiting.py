@@ -4,7 +4,6 @@ import time
 from collections import Counter, OrderedDict
 from collections.abc import Callable
 from dataclasses import field
-from ipaddress import IPv6Address, ip_address
 from typing import Any
 
 from pqsec_pki._dataclass import dataclass
@@ -12,8 +11,6 @@ from pqsec_pki.server.configuration import ServerLimits
 
 MOST_KEYS = 20_000
 """Addresses that are remembered; the one seen longest ago is forgotten first."""
-_NETWORK = 64
-"""A host of IPv6 may have all addresses of a network."""
 _MINUTE = 60.0
 _CONNECTIONS = 2
 """In a minute, as a multiple of requests: who asks too often is told so, and then not heard."""
@@ -157,16 +154,3 @@ class Connections:
             self._open[address] -= 1
             if not self._open[address]:
                 del self._open[address]
-
-
-def key_of(address: str) -> str:
-    """What limits count together: an address of IPv4, or a network of IPv6."""
-    try:
-        found = ip_address(address.partition("%")[0])
-    except ValueError:
-        return address
-    if isinstance(found, IPv6Address):
-        if found.ipv4_mapped:
-            return str(found.ipv4_mapped)
-        return f"{int(found) >> (128 - _NETWORK):x}"
-    return str(found)

@@ -1,25 +1,34 @@
 """Requests that wait until somebody decides, in a folder of the signer.
 
-Anybody can send one, so their number is limited, also for each name. A file has one: a line of JSON
-with what the server knows of it, and the request itself in DER.
+Anybody can send one, so their number is limited, also for each name. Who sends most gives up some,
+so a stranger keeps no robot out. A file has one request: a line of JSON with what the server knows
+of it, then its DER. It was modified when the request was last sent.
 """
 
 import json
-from dataclasses import field
-from datetime import datetime, timedelta
+import os
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import suppress
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, exists, read, write
 from pqsec_pki.certificates import CertificateRequest
-from pqsec_pki.errors import MalformedError, UsageError, located, shown
+from pqsec_pki.errors import FileError, MalformedError, UsageError, located, shown
 from pqsec_pki.keystore import key_hashes
+from pqsec_pki.server.addresses import key_of
 
 MOST_OF_NAME = 3
 LIFETIME = timedelta(days=30)
-_SHORTEST = 8
-"""Digits of a request's SHA-256 that name it."""
+"""Since the request was last sent."""
+_SHORTEST = 16
+"""Digits of a request's SHA-256 that name it: with 8, a stranger finds a request for a key of its
+own that begins like the robot's, in a day."""
+_LONGEST = 8192
+"""Octets of the first line."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,13 +39,12 @@ class WaitingRequest:
     sha256: str
     """Of its DER; `pqsec inspect` on the robot shows it too."""
     address: str
+    """From which it was first sent."""
     received: datetime
-    request: CertificateRequest = field(repr=False)
-
-    @property
-    def keys(self) -> str:
-        """Hashes of the keys that it asks for, as in the ledger."""
-        return key_hashes(self.request.public_key, self.request.alternative_key)
+    asked: datetime
+    """When it was last sent."""
+    keys: str
+    """Hashes of the keys that it is for, as of `key_hashes`."""
 
     def to_json(self) -> dict[str, object]:
         """The request for --json."""
@@ -45,26 +53,26 @@ class WaitingRequest:
             "sha256": self.sha256,
             "address": self.address,
             "received": self.received,
+            "asked": self.asked,
         }
 
-    def to_bytes(self) -> bytes:
-        """The content of its file."""
+    @property
+    def line(self) -> bytes:
+        """The first line of its file."""
         received = self.received.isoformat(timespec="seconds")
         known = {"name": self.name, "address": self.address, "received": received}
-        return json.dumps(known).encode() + b"\n" + self.request.der
+        return json.dumps({**known, "keys": self.keys}).encode() + b"\n"
 
     @classmethod
-    def of(cls, data: bytes) -> Self:
+    def of(cls, line: bytes, sha256: str, asked: datetime) -> Self:
         """MalformedError if it is not one."""
-        known, _, der = data.partition(b"\n")
-        request = CertificateRequest.from_der(der)
         try:
-            value: dict[str, Any] = json.loads(known)
+            value: dict[str, Any] = json.loads(line)
             received = datetime.fromisoformat(value["received"])
-            name, address = str(value["name"]), str(value["address"])
+            name, address, keys = (str(value[key]) for key in ("name", "address", "keys"))
         except (ValueError, KeyError, TypeError, RecursionError):
             raise MalformedError("not a request that waits") from None
-        return cls(name, request.fingerprint, address, received, request)
+        return cls(name, sha256, address, received, asked, keys)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,21 +88,32 @@ class WaitingRoom:
             return []
         with disk_errors(self.folder):
             paths = sorted(self.folder.glob("*.request"))
-        return sorted(map(_read, paths), key=lambda each: each.received)
+        return sorted(filter(None, map(_read, paths)), key=lambda each: each.received)
 
-    def add(self, request: CertificateRequest, name: str, address: str, now: datetime) -> bool:
-        """Keep the request; False if there are too many. One that is there stays."""
+    def add(self, request: CertificateRequest, name: str, address: str, now: datetime) -> None:
+        """Keep the request, in place of another one if there are too many.
+
+        One that is there stays as it is, and was asked for now.
+        """
         path = self._path(request.fingerprint)
-        if exists(path):
-            return True
-        there = self._without_old(now)
-        if len(there) >= self.most or sum(each.name == name for each in there) >= MOST_OF_NAME:
-            return False
-        with disk_errors(self.folder):
-            self.folder.mkdir(mode=0o700, exist_ok=True)
-        waits = WaitingRequest(name, request.fingerprint, address, now, request)
-        write(path, waits.to_bytes(), private=True)
-        return True
+        if not exists(path):
+            self._make_room(name, address, now)
+            with disk_errors(self.folder):
+                self.folder.mkdir(mode=0o700, exist_ok=True)
+            keys = key_hashes(request.public_key, request.alternative_key)
+            waits = WaitingRequest(name, request.fingerprint, address, now, now, keys)
+            write(path, waits.line + request.der, private=True)
+        with disk_errors(path), suppress(FileNotFoundError):  # somebody just decided
+            os.utime(path, (now.timestamp(), now.timestamp()))
+
+    def request(self, waits: WaitingRequest) -> CertificateRequest:
+        """The request itself; errors name the file. MalformedError if it has another one."""
+        path = self._path(waits.sha256)
+        with located(path):
+            found = CertificateRequest.from_der(read(path).partition(b"\n")[2])
+            if found.fingerprint != waits.sha256:
+                raise MalformedError("it has another request than its name says")
+        return found
 
     def remove(self, sha256: str) -> None:
         """It waits no more."""
@@ -114,14 +133,37 @@ class WaitingRoom:
     def _path(self, sha256: str) -> Path:
         return self.folder / f"{sha256}.request"
 
-    def _without_old(self, now: datetime) -> list[WaitingRequest]:
-        there = self.all()
-        for each in there:
-            if each.received < now - LIFETIME:
+    def _make_room(self, name: str, address: str, now: datetime) -> None:
+        """Drop what is old, and one more if the room is full, or has enough for that name."""
+        there = []
+        for each in self.all():
+            if each.asked < now - LIFETIME:
                 self.remove(each.sha256)
-        return [each for each in there if each.received >= now - LIFETIME]
+            else:
+                there.append(each)
+        own = [each for each in there if each.name == name]
+        if len(own) >= MOST_OF_NAME:
+            self.remove(_to_give_up(own, address).sha256)
+        elif len(there) >= self.most:
+            self.remove(_to_give_up(there, address).sha256)
 
 
-def _read(path: Path) -> WaitingRequest:
+def _to_give_up(there: Sequence[WaitingRequest], address: str) -> WaitingRequest:
+    """What was asked for longest ago, of the address with most, with the new one from `address`."""
+    keys = {each.sha256: key_of(each.address) for each in there}
+    counts = Counter([*keys.values(), key_of(address)])
+    return max(there, key=lambda each: (counts[keys[each.sha256]], -each.asked.timestamp()))
+
+
+def _read(path: Path) -> WaitingRequest | None:
+    """What waits there; None if it does no more."""
     with located(path):
-        return WaitingRequest.of(read(path))
+        try:
+            with disk_errors(path), path.open("rb") as file:
+                line = file.readline(_LONGEST)
+                asked = datetime.fromtimestamp(os.fstat(file.fileno()).st_mtime, UTC)
+        except FileError:
+            if exists(path):
+                raise
+            return None
+        return WaitingRequest.of(line, path.stem, asked)

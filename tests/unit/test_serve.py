@@ -179,7 +179,7 @@ def asking(tmp_path_factory):
 
 
 def decided(server, word, request):
-    words = (word, request.fingerprint[:12], "--config", "serve.yaml", "--json")
+    words = (word, request.fingerprint[:16], "--config", "serve.yaml", "--json")
     done = server.cli("requests", *words)
     return [each["sha256"] for each in json.loads(done.stdout)["requests"]]
 
@@ -233,10 +233,20 @@ def test_an_old_approval_replaces_no_certificate_that_was_issued_since(asking, t
     assert (reply.status, "got a certificate since" in reply.detail) == (403, True)
 
 
-def test_only_so_many_requests_wait(asking, tmp_path):
-    robot = Robot(asking, tmp_path, "/fleet/r2")
-    statuses = [asking.ask(robot.new()).status for _ in range(4)]
-    assert statuses == [202, 202, 202, 503]
-    robot = Robot(asking, tmp_path, "/fleet/r3")
-    assert [asking.ask(robot.new()).status for _ in range(2)] == [202, 503]
+def test_who_asks_most_keeps_nobody_out(asking, tmp_path):
+    """Four requests of a stranger kept everybody out for a month."""
+    robot, stranger = (Robot(asking, tmp_path / each, "/fleet/r3") for each in ("a", "b"))
+    for name in ("/fleet/r2", "/fleet/r3"):
+        stranger.name = name
+        for _ in range(3):
+            assert asking.ask(stranger.new(), source="127.0.0.66").status == 202
+    assert asking.ask(robot.request).status == 202
+    for _ in range(3):
+        assert asking.ask(stranger.new(), source="127.0.0.66").status == 202
+    listed = asking.cli("requests", "list", "--config", "serve.yaml", "--json").stdout
+    found = json.loads(listed)["requests"]
+    assert (len(found), robot.request.fingerprint in [each["sha256"] for each in found]) == (
+        4,
+        True,
+    )
     assert asking.ask(robot.new(), token=asking.token("/fleet/r3")).status == 200
