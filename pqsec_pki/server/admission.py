@@ -7,7 +7,7 @@ domain file: a request only says which participant asks, and for which keys.
 from collections import Counter
 from collections.abc import Mapping
 from dataclasses import field, replace
-from datetime import datetime
+from datetime import datetime, timedelta
 from functools import cached_property
 
 from cryptography.x509.oid import NameOID
@@ -75,6 +75,8 @@ class Admission:
     """What was admitted since the ledger was read: names, and the tokens that admitted them."""
     factories: Mapping[str, Factory] = field(default_factory=dict)
     """Whose devices may enrol, by the names that the domain file has."""
+    renew_expired: timedelta = timedelta()
+    """For how long after its end a certificate is still renewed."""
 
     def of(self, call: SignerCall) -> Admitted:
         """The request that may be answered; NotAdmittedError if it may not."""
@@ -89,8 +91,8 @@ class Admission:
         holder.refuse_other_name(name)
         member = self._member(name, call.label)
         held = self._held(name)
+        _refuse_revoked(held)
         if ordered:
-            _refuse_revoked(held)
             return Admitted(name, _ORDERED)
         if holder.device:
             holder = self._identified(holder.device, member, request, call)
@@ -158,7 +160,7 @@ class Admission:
             shown = Certificate.from_der(call.certificate)
             if self.factories and call.kind is not CallKind.REENROL and not self._is_ours(shown):
                 return Requester("", _DEVICE, device=shown)
-            return self._of_certificate(shown)
+            return self._of_certificate(shown, self.renew_expired)
         if call.kind is CallKind.REENROL:
             raise NotAdmittedError(401, "show the current certificate as client certificate")
         return Requester("", _APPROVED if self.anybody else "")
@@ -199,15 +201,20 @@ class Admission:
         if any(each.details.get("participant") == name for each in lines):
             raise NotAdmittedError(403, f"the device has enrolled as {name} before: {_NEW_TOKEN}")
 
-    def _of_certificate(self, certificate: Certificate) -> Requester:
-        """The participant, by the ledger."""
+    def _of_certificate(
+        self, certificate: Certificate, expired: timedelta = timedelta()
+    ) -> Requester:
+        """The participant, by the ledger, with a certificate that ended at most `expired` ago.
+
+        NotAdmittedError for a certificate that is not valid, or was revoked.
+        """
         name = _common_name(certificate)
         if not self._is_ours(certificate):
             raise NotAdmittedError(403, "the client certificate was not issued here")
         revoked = self.ledger.of_name("revocation", name)
         if any(each.sha256 == certificate.fingerprint for each in revoked):
             raise NotAdmittedError(403, "the client certificate was revoked")
-        if not certificate.not_before <= self.now <= certificate.not_after:
+        if self.now < certificate.not_before or self.now - certificate.not_after > expired:
             raise NotAdmittedError(403, f"its certificate expired: {_NEW_TOKEN}")
         return Requester(
             name, f"certificate {certificate.serial_number:x}", certificate=certificate
@@ -286,7 +293,6 @@ class Admission:
 
     def _refuse_state(self, held: ParticipantState | None, holder: Requester, keys: str) -> None:
         """NotAdmittedError if this participant may not have a new certificate now."""
-        _refuse_revoked(held)
         if held is None:
             return
         if holder.by == _APPROVED:

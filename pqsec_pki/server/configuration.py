@@ -109,6 +109,8 @@ class ServerSettings:
     """Seconds until a robot whose request waits shall ask again."""
     renew_any_time: bool
     """Whether to renew certificates that are not due."""
+    renew_expired: timedelta
+    """For how long after its end a certificate is still renewed."""
     token_validity: timedelta
     revocation_list: timedelta | None
     """How long the revocation lists are valid that the server issues by itself; None for none."""
@@ -148,6 +150,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "factories": partial(_factories, folder),
         "approval": boolean,
         "retry_seconds": _positive,
+        "renew_expired": duration,
         "renew": partial(chosen, names=("due", "any-time")),
         "token_validity": duration,
         "revocation_list": duration,
@@ -167,6 +170,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "front_user": "",
         "factories": {},
         "approval": False,
+        "renew_expired": timedelta(),
         "token_validity": timedelta(days=7),
         "revocation_list": None,
         "limits": ServerLimits(),

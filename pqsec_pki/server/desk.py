@@ -62,6 +62,8 @@ class Desk:
     anybody: bool = False
     """Whether requests without a credential wait there."""
     any_time: bool = False
+    renew_expired: timedelta = timedelta()
+    """For how long after its end a certificate is still renewed."""
     retry: int = 60
     factories: Mapping[str, Factory] = field(default_factory=dict)
     tree: MerkleTree = field(default_factory=MerkleTree, repr=False)
@@ -143,6 +145,7 @@ class Desk:
             self.anybody,
             self.retry,
             factories=self.factories,
+            renew_expired=self.renew_expired,
         )
 
     def _record(self, admitted: Sequence[Admitted]) -> None:

@@ -64,6 +64,7 @@ def run_signer(
             desired=desired,
             clock=clock,
             any_time=found.renew_any_time,
+            renew_expired=found.renew_expired,
             waiting=found.room,
             anybody=found.approval,
             retry=found.retry,

@@ -37,7 +37,8 @@ FILES = {
         status: 'localhost:9180', keystore: k, domain: domain.yaml, state: state,
         tls: [{chain: a.pem, key: a.key}], classical: true, passphrase_file: p, front_user: www,
         factories: {acme: {cas: a.pem, revocation_lists: [a.crl, b.crl], again: true}, b: {cas: c}},
-        approval: true, retry_seconds: 60, renew: due, token_validity: 7d, revocation_list: 26w,
+        approval: true, retry_seconds: 60, renew: due, renew_expired: 30d, token_validity: 7d,
+        revocation_list: 26w,
         limits: {connections: 1,
         connections_of_address: 2, requests_of_address: 3, requests_of_label: 4, seconds: 5,
         body: 6, buffered: 7, waiting: 8}}
