@@ -30,8 +30,10 @@ from pqsec_pki.domain import create_keystore, read_domain
 from pqsec_pki.enrolment import Bundle, name_asked_for, pins_in_use, request
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.est import (
+    SCHEME,
     EnrolmentToken,
     EstClient,
+    RequestSigner,
     ServerTrust,
     TlsIdentity,
     client_context,
@@ -58,7 +60,8 @@ from tests.unit.tls_sides import HOST, connected, identity, pin
 NAME = "/fleet/r1"
 PROFILE = "transition"
 FAILED = 500
-OFTEN = 1 << 40
+ENOUGH = 20
+"""Requests of one input: more on one connection are told to come later."""
 STATUS = re.compile(rb"HTTP/1\.[01] (\d{3}) ")
 
 
@@ -88,7 +91,11 @@ class World:
         assert answer.status == 200, answer
         chain = Bundle.from_bytes(answer.body).enclaves[NAME]["cert.pem"]
         self.shown = {"certificate": Certificate.from_pem(chain).der}
-        self.connection = _connection(TlsIdentity.of(chain, key))
+        self.connection, _ = _connection(TlsIdentity.of(chain, key))
+        self.bare, self.robots_end = _connection(None)
+        files = {"cert.pem": chain, "key.pem": key}
+        second = made.path.parent / "alt.key.pem"
+        self.signer = RequestSigner.of(files | {"alt.key.pem": second.read_bytes()})
 
     def asking(self, kind, body=None, **options):
         """A call of the robot, with its first request."""
@@ -127,15 +134,10 @@ def _token(keystore):
 
 
 def _connection(shown):
-    """The server's side of a connection where the robot showed its certificate."""
+    """Both ends of a connection where the robot showed its certificate, or none."""
     server = identity("ml-dsa-65")
     trust = ServerTrust(pins=frozenset({pin(server)}))
-    found, world_end = connected(server_context([server]), client_context(trust, HOST, shown))
-    _KEPT.append(world_end)
-    return found
-
-
-_KEPT = []
+    return connected(server_context([server]), client_context(trust, HOST, shown))
 
 
 # The signer's socket
@@ -270,12 +272,20 @@ def http_requests():
         _http("GET /.well-known/est/cacerts"),
         _http("HEAD /pqsec/v1/head", more="Connection: close\r\n"),
         _http("GET /pqsec/v1/bundle", more='If-None-Match: "0"\r\n') * 2,
+        _signed("GET", "/pqsec/v1/bundle", b"", ""),
+        _signed("POST", "/pqsec/v1/requests", here.next.pem, "application/x-pem-file"),
     ]
 
 
 def _http(line, body=b"", media="", more=""):
     sent = f"Content-Type: {media}\r\nContent-Length: {len(body)}\r\n" if media else ""
     return f"{line} HTTP/1.1\r\nHost: {HOST}\r\n{sent}{more}\r\n".encode() + body
+
+
+def _signed(method, path, body, media):
+    headers = world().signer.headers(world().robots_end, method, path, body)
+    more = "".join(f"{name}: {value}\r\n" for name, value in headers.items())
+    return _http(f"{method} {path}", body, media, more)
 
 
 class Direct:
@@ -294,14 +304,16 @@ def _answer(call):
 
 
 class Wire(StringTransport):
-    """A connection with TLS below it."""
+    """A connection with TLS below it; who signs requests shows no certificate there."""
+
+    signs = False
 
     def getHandle(self):  # noqa: N802 -- Twisted's name
-        return world().connection
+        return world().bare if self.signs else world().connection
 
 
 def take_http(data):
-    limits = ServerLimits(requests_of_address=OFTEN, requests_of_label=OFTEN)
+    limits = ServerLimits(requests_of_address=ENOUGH)
     connections, front = Connections(limits), Front(Direct(), limits, json.dumps)
     factory = Channels(
         Clock(),
@@ -315,6 +327,7 @@ def take_http(data):
     )
     peer = IPv4Address("TCP", HOST, 1)
     channel, wire = factory.buildProtocol(peer), Wire(peerAddress=peer)
+    wire.signs = SCHEME.encode() in data
     channel.makeConnection(wire)
     for part in (data[: len(data) // 2], data[len(data) // 2 :]):
         if not wire.disconnecting:
@@ -358,6 +371,7 @@ HEADERS = [
     *(b"Transfer-Encoding: identity", b"Expect: 100-continue", b"Upgrade: h2c"),
     *(b"Authorization: Basic", b"Authorization: Basic \xff", b"Authorization: Basic Og=="),
     *(b"Content-Type: multipart/form-data; boundary=x", b"Connection: upgrade", b" folded: x"),
+    *(b"Authorization: PQSEC ,", b"Authorization: PQSEC AAAA,AAAA", b"PQSEC-Certificate: AA=="),
     *(b"If-None-Match: *", b"Host", b":", b"", b"A" * 20_000, b"PRI * HTTP/2.0"),
     *(b"GET /pqsec/v1/head HTTP/0.9", b"GET http://x/pqsec/v1/head HTTP/1.1", b"GET * HTTP/1.1"),
 ]
