@@ -4,16 +4,17 @@ import json
 import os
 import shutil
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields, is_dataclass
 from datetime import datetime
+from itertools import zip_longest
 from pathlib import PurePath
 from textwrap import wrap
 
 import click
 
-from pqsec_pki.cli import _progress
+from pqsec_pki.cli import _pager, _progress
 from pqsec_pki.cli._colour import on_terminal, painted
 from pqsec_pki.cli._settings import settings
 from pqsec_pki.cli._times import for_programs, local
@@ -79,7 +80,7 @@ def say(text: str) -> None:
     """Print a part of the result unchanged. FileError on a full disk."""
     try:
         with _progress.hidden():
-            click.echo(text)
+            (_pager.show if _pager.is_for(text) else click.echo)(text)
     except OSError as error:
         # Python flushes again at exit: discard the rest of the result.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
@@ -140,15 +141,12 @@ def numbered(texts: Iterable[str]) -> Iterator[str]:
 def table(headers: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> list[str]:
     """The lines of a table with aligned columns; on a terminal, as wide as that.
 
-    Then the cells of the widest column are wrapped between words: no name is cut.
+    Then the cells of the widest columns are wrapped between words: no name is cut, so a line that
+    cannot be as short is longer.
     """
     grid = [headers, *(tuple(map(local, row)) for row in rows)]
-    widths = [max(map(len, cells)) for cells in zip(*grid, strict=True)]
-    excess = sum(widths) + len(_GAP) * (len(widths) - 1) - _room()
-    widest = widths.index(max(widths))
-    if excess > 0:
-        widths[widest] = max(widths[widest] - excess, _NARROWEST)
-        grid = [line for row in grid for line in _wrapped(row, widest, widths[widest])]
+    widths = _widths(grid, _room())
+    grid = [line for row in grid for line in _wrapped(row, widths)]
     line = _GAP.join(f"{{:{width}}}" for width in widths).format
     return [line(*row).rstrip() for row in grid]
 
@@ -158,9 +156,27 @@ def _room() -> int:
     return shutil.get_terminal_size().columns if sys.stdout.isatty() else sys.maxsize
 
 
-def _wrapped(row: tuple[str, ...], column: int, width: int) -> Iterator[tuple[str, ...]]:
-    """The row; what does not fit in the column is below, beside empty cells."""
-    parts = wrap(row[column], width, break_long_words=False, break_on_hyphens=False) or [""]
-    yield (*row[:column], parts[0], *row[column + 1 :])
-    for part in parts[1:]:
-        yield tuple(part if place == column else "" for place in range(len(row)))
+def _widths(grid: Sequence[tuple[str, ...]], room: int) -> list[int]:
+    """The columns' widths: the widest are made narrower, but not than a word in them."""
+    columns = list(zip(*grid, strict=True))
+    widths = [max(map(len, cells)) for cells in columns]
+    excess = sum(widths) + len(_GAP) * (len(widths) - 1) - room
+    if excess > 0:
+        words = [max(map(len, " ".join(cells).split()), default=0) for cells in columns]
+        least = [max(word, min(_NARROWEST, now)) for word, now in zip(words, widths, strict=True)]
+        for column in sorted(range(len(widths)), key=lambda each: -widths[each]):
+            narrower = min(max(excess, 0), widths[column] - least[column])
+            widths[column] -= narrower
+            excess -= narrower
+    return widths
+
+
+def _wrapped(row: tuple[str, ...], widths: Sequence[int]) -> Iterable[tuple[str, ...]]:
+    """The row; what does not fit in a column is below."""
+    cells = (
+        [cell]
+        if len(cell) <= width
+        else wrap(cell, width, break_long_words=False, break_on_hyphens=False)
+        for cell, width in zip(row, widths, strict=True)
+    )
+    return zip_longest(*cells, fillvalue="")

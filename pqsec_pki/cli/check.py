@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
@@ -105,6 +105,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
 @click.option(
     "--proofs", is_flag=True, help="Of a robot: demand a proof that the ledger has its documents."
 )
+@_pager.option
 @_settings.command_options
 def check(  # noqa: PLR0913 -- one for each option
     paths: tuple[Path, ...],

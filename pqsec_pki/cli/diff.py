@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.access import SPEC, Sense
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _help, _pager, _printing, _settings
 from pqsec_pki.policy import DocumentDifference, differences_between
 
 _PATH = type(_settings.FILE)(path_type=Path, readable=False)
@@ -27,6 +27,7 @@ _PATH = type(_settings.FILE)(path_type=Path, readable=False)
 )
 @click.argument("old", type=_PATH)
 @click.argument("new", type=_PATH)
+@_pager.option
 @_settings.command_options
 def diff(old: Path, new: Path) -> int:
     """Show the rights that a policy change grants and removes.

@@ -16,7 +16,7 @@ from pqsec_pki.access import (
     is_known,
     topics_named,
 )
-from pqsec_pki.cli import _completion, _explain_asked, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _explain_asked, _help, _pager, _printing, _settings
 from pqsec_pki.cli._explain_lines import lines_of, right_lines
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._printing import printable
@@ -104,6 +104,7 @@ Answering = Callable[[PolicyInput], RightAnswer]
     help="Answer as this stack interprets the documents.  [default: by the standard, with the"
     " stacks that differ]",
 )
+@_pager.option
 @_settings.command_options
 def explain(name: str | None, stack: str | None, **asked: Any) -> int:
     """Show whether a participant may do something, and which rule decides.

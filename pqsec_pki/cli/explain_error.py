@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import click
 
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _help, _pager, _printing, _settings
 from pqsec_pki.cli._paragraph import paragraph
 from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.stacks import Stack
@@ -36,6 +36,7 @@ STACKS = [each.value for each in Stack if each is not Stack.CONNEXT]
 @click.argument("text", nargs=-1, metavar="TEXT|CODE|-")
 @click.option("--stack", type=click.Choice(STACKS), help="Recognise only messages of this stack.")
 @click.option("--list", "as_list", is_flag=True, help="List all known messages.")
+@_pager.option
 @_settings.command_options
 def explain_error(text: tuple[str, ...], stack: str | None, *, as_list: bool) -> None:
     """Explain a security error of a DDS stack, and how to fix it.

@@ -5,7 +5,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _help, _pager, _printing, _settings
 from pqsec_pki.errors import located
 from pqsec_pki.inspection import Description, describe
 
@@ -28,6 +28,7 @@ from pqsec_pki.inspection import Description, describe
     type=_settings.FILE,
     metavar="FILE...",
 )
+@_pager.option
 @_settings.command_options
 def inspect(files: tuple[Path, ...]) -> None:
     """Describe a certificate, key, request or document.

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._times import said
-from pqsec_pki.cli import _completion, _formats, _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _pager, _passphrases, _printing, _settings
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
 from pqsec_pki.keystore import (
     PERMITTED,
@@ -93,6 +93,7 @@ def _head(context: click.Context, parameter: click.Parameter, value: str | None)
     "--sign", is_flag=True, help="Sign a head over all lines; needs the keys of the permissions CA."
 )
 @_passphrases.option
+@_pager.option
 @_settings.command_options
 def log(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],

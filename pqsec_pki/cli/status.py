@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _completion, _formats, _help, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
 from pqsec_pki.cli._metrics import write_metrics
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._times import day
@@ -81,6 +81,7 @@ _ROLES = {
     type=_settings.FILE,
     help="Also write metrics to this file, for the textfile collector; replaces older metrics.",
 )
+@_pager.option
 @_settings.command_options
 def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     names: tuple[str, ...],

@@ -14,7 +14,7 @@ from pqsec_pki.access import (
     domains_said,
     interpretation_named,
 )
-from pqsec_pki.cli import _completion, _formats, _help, _printing, _ros_patterns, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _ros_patterns, _settings
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._who_may_forms import FORMS, flow_lines
 from pqsec_pki.documents import DomainSet, ros
@@ -115,6 +115,7 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
     help="Answer as this stack interprets the documents.",
 )
 @_formats.option("dot", "md")
+@_pager.option
 @_settings.command_options
 def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     paths: tuple[Path, ...],

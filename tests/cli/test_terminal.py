@@ -30,7 +30,7 @@ def terminal(tmp_path):
         fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", 24, columns, 0, 0))
         variables = {"TERM": "xterm", **environment}
         inherited = clean_environment(**variables)
-        for name in {"NO_COLOR", "COLUMNS"} - set(variables):
+        for name in {"NO_COLOR", "COLUMNS", "PAGER", "NO_PAGER", "LESS"} - set(variables):
             inherited.pop(name, None)
         program = subprocess.Popen(
             [sys.executable, *program, *shlex.split(line)],
@@ -41,7 +41,7 @@ def terminal(tmp_path):
         while piece := _read(ours):
             shown += piece
         os.close(ours)
-        program.wait()
+        run.code = program.wait()
         return shown.decode().replace("\r\n", "\n")
 
     return run
@@ -77,11 +77,16 @@ def test_what_comes_from_outside_commands_no_terminal(terminal):
     assert "\x1b[31mred" not in said
 
 
-def test_a_table_is_wrapped_to_the_terminal_and_names_stay_whole(terminal, process):
-    narrow, piped = visible(terminal("algorithms", columns=70)), process("algorithms").done().out
-    assert max(map(len, piped.splitlines())) > 80
-    assert len(narrow.splitlines()) > len(piped.splitlines())
-    assert set(piped.split()) == set(narrow.split())
+@pytest.mark.parametrize("columns", [40, 80, 200])
+def test_a_table_is_wrapped_to_the_terminal_and_names_stay_whole(terminal, process, columns):
+    piped = process("algorithms").done().out
+    shown = visible(terminal("algorithms", columns=columns))
+    assert set(piped.split()) == set(shown.split())
+    if columns == 200:
+        assert shown == piped
+    else:  # its longest words together are wider
+        assert len(shown.splitlines()) > len(piped.splitlines())
+        assert max(map(len, shown.splitlines())) < max(map(len, piped.splitlines()))
 
 
 @pytest.mark.parametrize(
@@ -146,6 +151,48 @@ def test_a_code_says_which_error_it_is(pqsec):
 def test_a_wrong_command_line_is_json_too(pqsec, line):
     value = errors(pqsec(line), 2)
     assert "--help" in value["hint"]
+
+
+# A pager
+
+EACH = {"PAGER": "sed s/^/paged:/"}
+LIST = "explain-error --list"
+
+
+def test_a_long_result_goes_through_the_pager_with_the_options_of_git(terminal):
+    lines = visible(terminal(LIST, **EACH)).splitlines()
+    assert len(lines) > 24
+    assert all(line.startswith("paged:") for line in lines)
+    assert "LESS=FRX" in terminal(LIST, PAGER="sh -c 'echo LESS=$LESS; cat'")
+    assert "LESS=S" in terminal(LIST, PAGER="sh -c 'echo LESS=$LESS; cat'", LESS="S")
+
+
+@pytest.mark.parametrize(
+    ("line", "variables"),
+    [
+        (f"{LIST} --no-pager", {}),
+        (LIST, {"NO_PAGER": "1"}),
+        (LIST, {"PAGER": "cat"}),
+        (LIST, {"PAGER": ""}),
+        (LIST, {"TERM": "dumb"}),
+        ("explain-error 146", {}),  # short
+        ("algorithms", {}),
+    ],
+)
+def test_other_results_are_printed(terminal, line, variables):
+    said = visible(terminal(line, **{**EACH, **variables}))
+    assert said
+    assert "paged:" not in said
+    assert terminal.code == 0
+
+
+def test_a_pipe_is_not_paged(process):
+    assert "paged:" not in process(LIST, **EACH).done().out
+
+
+def test_who_leaves_the_pager_early_changes_no_exit_code(terminal):
+    assert terminal(LIST, PAGER="true") == ""
+    assert terminal.code == 0
 
 
 # Times
