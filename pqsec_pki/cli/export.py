@@ -19,6 +19,14 @@ from pqsec_pki.vendors import FASTRTPS, Export, Options, exporter_of, write
 from pqsec_pki.vendors import export as make_export
 
 
+class _StackName(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
+    """Also the name of another package's stack: `exporter_of` knows it, or refuses it."""
+
+    def convert(self, value: str, *_: object) -> str:
+        """The name as it is."""
+        return value
+
+
 @_help.command(
     examples={
         "Print the configuration for Cyclone DDS": "pqsec export cyclonedds /talker",
@@ -36,7 +44,12 @@ from pqsec_pki.vendors import export as make_export
         3: "the keystore, participant or a file cannot be read or written",
     },
 )
-@click.argument("stack", metavar="STACK", shell_complete=_completion.stacks)
+@click.argument(
+    "stack",
+    type=_StackName([each.value for each in Stack]),
+    metavar="STACK",
+    shell_complete=_completion.stacks,
+)
 @click.argument(
     "names", nargs=-1, required=True, metavar="NAME...", shell_complete=_completion.participants
 )
