@@ -32,6 +32,8 @@ _CODECS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"),
            (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
 
 _SURROGATE = re.compile("[\ud800-\udfff]")
+_UNSEEN_END = re.compile("[\x85\u2028\u2029]|\r(?!\n)")
+"""Ends of lines for YAML 1.1 and Python, and for few editors: there a comment goes on as code."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,10 +90,19 @@ def _decoded(data: bytes) -> str:
         raise refused(None, f"larger than {MAX_DOCUMENT} bytes, so not a policy")
     codec = next((codec for mark, codec in _CODECS if data.startswith(mark)), "utf-8")
     try:
-        return data.decode(codec)
+        text = data.decode(codec)
     except UnicodeDecodeError as error:
         line = data[: error.start].count(b"\n") + 1
         raise refused(line, f"not {codec.removesuffix('-sig').upper()} text") from None
+    refuse_unseen_ends(text)
+    return text
+
+
+def refuse_unseen_ends(text: str) -> None:
+    """InvalidDocumentError for a character that ends a line here, and is not seen to elsewhere."""
+    if found := _UNSEEN_END.search(text):
+        line = text.count("\n", 0, found.start()) + 1
+        raise refused(line, f"U+{ord(found[0]):04X} ends a line, and editors do not show it so")
 
 
 def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:

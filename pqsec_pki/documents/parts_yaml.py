@@ -7,7 +7,15 @@ read and write whole parts: domains, a governance, the rules of a grant.
 from pqsec_pki.documents._domains_yaml import domains, domains_as_yaml, domains_read_alike
 from pqsec_pki.documents._node_words import node_as_yaml
 from pqsec_pki.documents._rules_yaml import ALLOWED, Readers, rules_as_yaml
-from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, dump, refused
+from pqsec_pki.documents._yaml import (
+    Item,
+    Items,
+    Text,
+    YamlMapping,
+    dump,
+    refuse_unseen_ends,
+    refused,
+)
 from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.documents._yaml_reading import (
     all_of,
@@ -56,6 +64,7 @@ __all__ = [  # defined in other modules, for other rooms
     "peeked",
     "read",
     "readable_problems",
+    "refuse_unseen_ends",
     "refused",
     "rules_as_yaml",
     "rules_in",

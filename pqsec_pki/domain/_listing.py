@@ -1,9 +1,11 @@
 """Reads names of participants from patterns such as /fleet/robot{001..100}, CSV files and lists."""
 
 import csv
+import io
 import itertools
 import math
 import re
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from functools import partial
@@ -11,7 +13,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
-from pqsec_pki.documents.parts_yaml import all_of, refused
+from pqsec_pki.documents.parts_yaml import all_of, refuse_unseen_ends, refused
 from pqsec_pki.errors import InvalidDocumentError, UsageError, located, shown
 from pqsec_pki.keystore import regular_name
 from pqsec_pki.problems import Problem
@@ -83,7 +85,7 @@ def names_in_list(path: Path) -> list[ListedName]:
     InvalidDocumentError with the lines at fault.
     """
     with located(path):
-        lines = enumerate(map(_without_comment, _text(path).splitlines()), start=1)
+        lines = enumerate(map(_without_comment, _text(path).split("\n")), start=1)
         return expanded((pattern, number) for number, pattern in lines if pattern)
 
 
@@ -93,14 +95,14 @@ def names_in_csv(path: Path) -> list[ListedName]:
     InvalidDocumentError with the lines at fault.
     """
     with located(path):
-        rows = csv.reader(_text(path).splitlines(keepends=True), strict=True)
+        rows = csv.reader(io.StringIO(_text(path), newline=""), strict=True)
         try:
             numbered = [(rows.line_num, row) for row in rows if row]
         except csv.Error as error:
             raise refused(rows.line_num, f"not CSV: {error}") from None
         if not numbered or "name" not in (header := [each.strip() for each in numbered[0][1]]):
             raise refused(1, "the first line must have the column names, one of them `name`")
-        twice = [each for each in dict.fromkeys(header) if header.count(each) > 1]
+        twice = [each for each, count in Counter(header).items() if count > 1]
         if twice:
             raise refused(1, f"the column '{shown(twice[0])}' appears twice")
         return list(all_of(partial(_row, header, line, row) for line, row in numbered[1:]))
@@ -116,9 +118,11 @@ def _row(header: list[str], line: int, row: list[str]) -> ListedName:
 def _text(path: Path) -> str:
     data = read(path)
     try:
-        return data.decode("utf-8-sig")
+        text = data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise refused(data[: error.start].count(b"\n") + 1, "not UTF-8 text") from None
+    refuse_unseen_ends(text)
+    return text
 
 
 def _without_comment(line: str) -> str:

@@ -446,3 +446,28 @@ def _refusal(read, text):
     with pytest.raises(InvalidDocumentError) as refusal:
         read(text)
     return refusal.value.lines[0]
+
+
+@pytest.mark.parametrize("end", ["\x85", "\u2028", "\u2029", "\r"])
+def test_a_comment_does_not_go_on_as_a_line(read, end):
+    """Who reviewed the file saw one line with a comment, and pqsec a participant more."""
+    hidden = f"# the first{end}"
+    code = f"line [23]: U\\+{ord(end):04X} ends a line"
+    with pytest.raises(InvalidDocumentError, match=code):
+        read(f"{HEAD}- {{name: /a, role: r}} {hidden}- {{name: /b, role: r}}\n")
+    with pytest.raises(InvalidDocumentError, match=f"l.txt: {code}"):
+        read(f"{HEAD}- {{list: l.txt, role: r}}\n", l_txt=f"/a\n/c {hidden}/b\n")
+    with pytest.raises(InvalidDocumentError, match=f"c.csv: {code}"):
+        read(f"{HEAD}- {{csv: c.csv, role: r}}\n", c_csv=f"name,note\n/a,{hidden}/b,x\n")
+
+
+def test_only_line_feeds_end_the_lines_of_a_list(read):
+    text = f"{HEAD}- {{list: l.txt, role: r}}\n"
+    assert list(read(text, l_txt="/a # x\x0c/b\x1e/c\r\n/d\r\n").members) == ["/a", "/d"]
+
+
+@pytest.mark.timeout(60)
+def test_a_table_with_many_columns_takes_no_long_time(read):
+    columns = ",".join(f"c{number}" for number in range(100_000))
+    with pytest.raises(InvalidDocumentError, match="appears twice"):
+        read(f"{HEAD}- {{csv: c.csv, role: r}}\n", c_csv=f"name,{columns},c7\n")
