@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 import tarfile
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,7 @@ README = (VECTORS / "README.md").read_text()
 DEFINED = dict(re.findall(r"(?m)^\| `([^`]+\.json)` \| `([^`]+)` \|", README))
 
 
+@cache
 def validator(definition):
     return validator_of({"$ref": f"#/$defs/{definition}", "$defs": SCHEMA["$defs"]})
 
@@ -32,8 +34,8 @@ def test_every_file_of_vectors_is_in_the_table():
 def test_a_file_follows_its_definition_and_no_other(file, definition):
     content = json.loads((VECTORS / file).read_bytes())
     validator(definition).validate(content)
-    fitting = {other for other in DEFINED.values() if validator(other).is_valid(content)}
-    assert fitting == {definition}
+    others = set(DEFINED.values()) - {definition}
+    assert {other for other in others if validator(other).is_valid(content)} == set()
 
 
 @pytest.mark.slow
