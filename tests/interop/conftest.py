@@ -172,11 +172,11 @@ def plugins(requires) -> Path:
 
 
 @pytest.fixture(scope="session")
-def fastdds(requires, tmp_path_factory) -> FastDdsShim:
-    """Fast DDS's security plugins, behind a shim that is compiled for this run."""
+def fastdds(requires) -> FastDdsShim:
+    """Fast DDS's security plugins, behind a shim that is compiled for them."""
     remedy = "apt-get install --no-install-recommends g++ libfastrtps-dev"
     compiler = requires(find_compiler(), "g++ with Fast DDS's headers", remedy)
-    return build(compiler, tmp_path_factory.mktemp("fastdds"))
+    return build(compiler)
 
 
 @pytest.fixture(scope="session")

@@ -17,9 +17,10 @@ from pathlib import Path
 from typing import IO, NamedTuple, Protocol
 
 from pqsec_pki.handshake import ByteOrder, DataHolder
-from pqsec_pki.trial import Installation
+from pqsec_pki.trial import Installation, find
 from pqsec_pki.vendors.fastdds_adapter import FASTDDS_SOURCES
 from tests.interop.cyclone import Token
+from tests.interop.kept import contents, kept
 
 __all__ = ["Answer", "FastDdsShim", "build", "find_compiler", "process", "program"]
 
@@ -142,14 +143,18 @@ def find_compiler() -> str | None:
     return shutil.which("g++") if _HEADER.exists() else None
 
 
-def build(compiler: str, folder: Path) -> FastDdsShim:
-    """The shim before the Fast DDS of this machine, compiled into `folder` and loaded."""
-    library = folder / "libfastdds_shim.so"
+def build(compiler: str) -> FastDdsShim:
+    """The shim before the Fast DDS of this machine, compiled and loaded."""
+    name = "libfastdds_shim.so"
     options = ("-std=c++17", "-DPQSEC_FASTDDS=2", f"-I{FASTDDS_SOURCES}", "-shared", "-fPIC")
-    command = [compiler, *options, "-o", library, _SHIM, "-lfastrtps"]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return _Library(library)
+    command = [compiler, *options, "-o", name, str(_SHIM), "-lfastrtps"]
+
+    def make(folder: Path) -> None:
+        done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, done.stderr
+
+    sources = contents(_SHIM, *FASTDDS_SOURCES.glob("*.hpp"))
+    return _Library(kept("shim", (command, find("fastdds").library.build, sources), make) / name)
 
 
 def program(installation: Installation) -> tuple[dict[str, bytes], tuple[str, ...]]:

@@ -1,6 +1,5 @@
 """The root file systems with the stacks: this machine's and, for newer ones, Debian trixie's."""
 
-import hashlib
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
@@ -9,7 +8,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pqsec_pki.trial import MACHINE, Installation
-from pqsec_pki.trial.building import cache, run_tool, source
+from pqsec_pki.trial.building import run_tool, source
+from tests.interop.kept import kept
 
 TRIXIE = Path(os.environ.get("PQSEC_TRIXIE") or Path.home() / ".cache" / "pqsec-ci" / "trixie")
 ROOTS = {"bookworm": MACHINE, "trixie": TRIXIE}
@@ -25,18 +25,24 @@ def compiled(
     """
     own = {each: source(each) for each in installation.build.sources} | dict(sources)
     inputs = (installation.root, installation.library.build, installation.build.commands)
-    digest = hashlib.sha256(repr((inputs, options, sorted(own.items()))).encode()).hexdigest()
-    kept = cache() / f"test-{installation.build.stack}-{digest[:16]}"
+
+    def make(goal: Path) -> None:
+        with _folder(installation) as folder:
+            _compile(installation, folder, own, options)
+            shutil.copy(folder / "peer", goal)
+
+    made = kept(installation.build.stack, (inputs, options, sorted(own.items())), make)
+    with _folder(installation) as folder:
+        shutil.copy(made / "peer", folder)
+        yield installation.peer(folder / "peer")
+
+
+@contextmanager
+def _folder(installation: Installation) -> Iterator[Path]:
+    """One that its programs see."""
     parent = None if installation.root == MACHINE else installation.root / "tmp"
     with TemporaryDirectory(dir=parent) as name:
-        folder = Path(name)
-        if not kept.exists():
-            _compile(installation, folder, own, options)
-            draft = kept.with_name(f"{kept.name}.{os.getpid()}")
-            shutil.copy(folder / "peer", draft)
-            draft.replace(kept)
-        shutil.copy(kept, folder / "peer")
-        yield installation.peer(folder / "peer")
+        yield Path(name)
 
 
 def _compile(

@@ -12,10 +12,12 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.stacks import stack_named
+from pqsec_pki.trial import find
 from pqsec_pki.vendors import Options, StackEnclave, export, exporter_of, write
 from pqsec_pki.vendors.cyclone_plugins import find_cyclone_plugins, read_plugin
 from tests.interop.conftest import NOT_STOCK, STOCK
 from tests.interop.fastdds_shim import find_compiler
+from tests.interop.kept import contents, kept
 from tests.interop.roots import TRIXIE
 
 pytestmark = pytest.mark.interop
@@ -91,14 +93,15 @@ def cyclone(plugins, requires):
 
 
 @pytest.fixture(scope="session")
-def fast(requires, tmp_path_factory):
+def fast(requires):
     """fast(variables) is a process that makes a participant of Fast DDS and tells of it."""
     remedy = "apt-get install --no-install-recommends g++ libfastrtps-dev"
     compiler = requires(find_compiler(), "g++ with Fast DDS's headers", remedy)
-    program = tmp_path_factory.mktemp("fastdds") / "profile"
     source = HERE / "fastdds_profile.cpp"
-    subprocess.run([compiler, "-o", program, source, "-lfastrtps", "-lfastcdr"], check=True)
-    return lambda variables: run([program], variables)
+    command = [compiler, "-o", "profile", str(source), "-lfastrtps", "-lfastcdr"]
+    inputs = command, find("fastdds").library.build, contents(source)
+    folder = kept("profile", inputs, lambda there: subprocess.run(command, cwd=there, check=True))
+    return lambda variables: run([folder / "profile"], variables)
 
 
 @pytest.fixture

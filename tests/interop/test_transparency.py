@@ -11,6 +11,7 @@ import shutil
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import pytest
 
@@ -26,6 +27,7 @@ from pqsec_pki.transparency import (
     root_by_inclusion,
     verify_consistency,
 )
+from tests.interop.kept import contents, kept
 from tests.unit.keystores import NOW, add, made
 
 SOURCES = Path("/usr/share/gocode")
@@ -34,37 +36,36 @@ SIZE = 40
 
 
 @pytest.fixture(scope="module")
-def go(requires, tmp_path_factory):
+def go(requires):
     """Ask Go's implementation."""
     there = shutil.which("go") and (SOURCES / "src/golang.org/x/mod/sumdb/tlog").is_dir()
     remedy = "apt-get install --no-install-recommends golang-go golang-golang-x-mod-dev"
     requires(there or None, "Go with its library for logs", remedy)
-    folder = tmp_path_factory.mktemp("go")
-    program = folder / "transparency"
     environment = os.environ | {
         "GO111MODULE": "off",
         "GOPATH": str(SOURCES),
-        "GOCACHE": str(folder / "cache"),
         "GOFLAGS": "-p=1",
         "CGO_ENABLED": "0",
     }
     source = Path(__file__).with_name("transparency.go")
-    built = subprocess.run(
-        ["go", "build", "-o", program, source],
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert built.returncode == 0, built.stderr
+
+    def run(*words, **more):
+        done = subprocess.run(words, capture_output=True, text=True, check=False, **more)
+        assert done.returncode == 0, done.stderr
+        return done.stdout
+
+    def make(folder):
+        with TemporaryDirectory() as cache:
+            there = folder / "transparency"
+            run("go", "build", "-o", there, source, env=environment | {"GOCACHE": cache})
+
+    libraries = (SOURCES / "src/golang.org/x/mod/sumdb").rglob("*.go")
+    inputs = run("go", "version"), contents(source, *libraries)
+    program = kept("go", inputs, make) / "transparency"
 
     def ask(**question):
         text = json.dumps(question, default=lambda data: base64.b64encode(data).decode())
-        said = subprocess.run(
-            [program], input=text, capture_output=True, text=True, check=False, timeout=60
-        )
-        assert said.returncode == 0, said.stderr
-        return json.loads(said.stdout)
+        return json.loads(run(program, input=text, timeout=60))
 
     return ask
 

@@ -56,19 +56,16 @@ PAIRS = [pytest.param(stack, name, id=f"{stack}-{name}") for stack in STACKS for
 
 
 @pytest.fixture(scope="module")
-def installations(tmp_path_factory) -> dict[str, Installation | MissingStackError]:
-    """The stacks, with their peers compiled; or why that cannot be."""
-    cache_folder = tmp_path_factory.mktemp("cache")
+def installations() -> dict[str, Installation | MissingStackError]:
+    """The stacks, with their peers compiled, as `pqsec try` keeps them; or why that cannot be."""
     found = {}
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(cache_folder))
-        for name, (stack, root) in STACKS.items():
-            try:
-                found[name] = find(stack, root)
-                built(found[name])
-            except MissingStackError as error:
-                found[name] = error
-        yield found
+    for name, (stack, root) in STACKS.items():
+        try:
+            found[name] = find(stack, root)
+            built(found[name])
+        except MissingStackError as error:
+            found[name] = error
+    return found
 
 
 @pytest.fixture(scope="module")

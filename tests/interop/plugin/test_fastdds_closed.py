@@ -41,6 +41,7 @@ from pqsec_pki.vendors.fastdds_adapter import (
 from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, examine, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from tests.interop.conftest import TOPIC
+from tests.interop.kept import kept
 from tests.interop.plugin.conftest import Shim
 from tests.interop.plugin.test_plugin_dds import ended, hosted, wait_for
 from tests.interop.plugin.test_plugin_impostors import BEHAVIOURS, listening
@@ -297,16 +298,26 @@ def privileged(tmp_path_factory, requires) -> Callable[[Path, str], str]:
 
 
 @pytest.fixture(scope="module")
-def linked(plugin_for, tmp_path_factory) -> list[str]:
+def linked(plugin_for, fastdds_here) -> list[str]:
     """The command of a peer that is linked with our library, before Fast DDS."""
-    folder = tmp_path_factory.mktemp("linked")
-    (folder / "peer.cpp").write_bytes(source("fastdds.cpp"))
-    (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
     library = plugin_for("bookworm").folder / PRELOAD
     first = f"-Wl,--no-as-needed,{library},--as-needed"
     words = ["g++", "-O0", first, "-o", "peer", "peer.cpp", "-lfastrtps"]
-    subprocess.run(words, cwd=folder, check=True, capture_output=True)
-    return [str(folder / "peer")]
+    return [str(peer(fastdds_here, source("fastdds.cpp"), words) / "peer")]
+
+
+def peer(fastdds: Installation, program: bytes, *commands: list[str]) -> Path:
+    """A folder in which these commands have compiled a peer."""
+    header = source("fastdds_host.hpp")
+
+    def make(folder: Path) -> None:
+        (folder / "peer.cpp").write_bytes(program)
+        (folder / "fastdds_host.hpp").write_bytes(header)
+        for command in commands:
+            subprocess.run(command, cwd=folder, check=True, capture_output=True)
+
+    inputs = fastdds.library.build, program, header, HOST.read_bytes(), commands
+    return kept("peer", inputs, make)
 
 
 def test_a_program_that_is_linked_with_it_needs_no_preloading(stage, linked):
@@ -325,16 +336,11 @@ def test_with_more_rights_it_runs_that_plugin_which_is_refused_the_agent(
 
 
 @pytest.fixture(scope="module")
-def opened(fastdds_here, tmp_path_factory) -> Callable[[str], list[str]]:
+def opened(fastdds_here) -> Callable[[str], list[str]]:
     """opened("deep") is what runs a peer in a library that is opened so."""
-    folder = tmp_path_factory.mktemp("hosted")
-    (folder / "fastdds_host.hpp").write_bytes(source("fastdds_host.hpp"))
-    (folder / "peer.cpp").write_bytes(
-        source("fastdds.cpp").replace(b"int main(", b'extern "C" int run(')
-    )
-    library = ["-shared", "-fPIC", "-o", "libpeer.so", "peer.cpp", "-lfastrtps"]
-    for command in (["g++", "-O0", *library], ["gcc", "-o", "host", str(HOST), "-ldl"]):
-        subprocess.run(command, cwd=folder, check=True, capture_output=True)
+    program = source("fastdds.cpp").replace(b"int main(", b'extern "C" int run(')
+    library = ["g++", "-O0", "-shared", "-fPIC", "-o", "libpeer.so", "peer.cpp", "-lfastrtps"]
+    folder = peer(fastdds_here, program, library, ["gcc", "-o", "host", str(HOST), "-ldl"])
     return lambda how: [str(folder / "host"), how, str(folder / "libpeer.so")]
 
 
