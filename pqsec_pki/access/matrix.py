@@ -148,7 +148,7 @@ class Matrix:
         interpretation: Interpretation,
     ) -> None:
         self._now, self._interpretation = now, interpretation
-        # No topic of DDS is longer, so nobody may use it.
+        # RTPS allows no longer topic: there is no answer for one.
         self._known = Names(name for name in names if name and len(name) <= MAX_NAME)
         rules = [each for rule in governance.domain_rules for each in rule.topic_rules]
         expressions = tuple(dict.fromkeys(each.topic_expression for each in rules))

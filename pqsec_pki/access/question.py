@@ -7,7 +7,11 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import UsageError
 
 MAX_NAME = 256
-"""Characters of a topic name (RTPS 2.3, table 9.12), and in pqsec also of a partition."""
+"""Characters of a topic name (RTPS 2.3, table 9.12), and in pqsec also of a partition.
+
+Cyclone DDS does not check it: its version 0.10.2 carries a topic of 2000 (run). Such a question is
+refused, since the limit also bounds what a pattern costs (`_patterns.LONGEST`).
+"""
 
 
 class Action(StrEnum):
@@ -52,4 +56,7 @@ class Question:
         if self.topic == "":
             raise UsageError("the topic's name is empty")
         if len(max((self.topic or "", *self.partitions), key=len)) > MAX_NAME:
-            raise UsageError(f"a name is longer than {MAX_NAME} characters")
+            raise UsageError(
+                f"a name is longer than {MAX_NAME} characters",
+                hint="RTPS allows no longer topic; Cyclone DDS takes one, and pqsec has no answer",
+            )

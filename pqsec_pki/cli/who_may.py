@@ -187,9 +187,7 @@ def _note_doubts(found: WhoMay) -> None:
         _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
     if found.too_long:
         names = _printing.few([f"{each[:20]}..." for each in found.too_long])
-        _printing.note(
-            f"no topic of DDS has more than {MAX_NAME} characters, so nobody can use {names}"
-        )
+        _printing.note(f"RTPS allows a topic {MAX_NAME} characters: no answer for {names}")
     if found.ungoverned:
         words = domains_said(found.ungoverned)
         _printing.note(f"the governance does not name {words}: no participant can join it")

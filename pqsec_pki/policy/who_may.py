@@ -39,7 +39,7 @@ class WhoMay:
 
     @property
     def too_long(self) -> list[str]:
-        """The topics that are longer than any of DDS can be, which nobody can use."""
+        """The topics that are longer than RTPS allows, for which there is no answer."""
         every = (each.row for each in self.rows)
         return [row.topic for row in every if len(row.topic) > MAX_NAME and not row.is_pattern]
 

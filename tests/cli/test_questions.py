@@ -1088,14 +1088,16 @@ def test_participants_are_chosen_by_name_or_pattern(pqsec, fleet_of_nodes):
     pqsec(f"{fleet_of_nodes} --participant '/none/*'").refused(3, "no participant matches")
 
 
-def test_a_topic_that_is_too_long_for_dds_is_answered_and_named(pqsec):
+def test_a_topic_that_is_too_long_for_rtps_is_named(pqsec):
     pqsec("-k k ca init --no-passphrase --profile classical").done()
     long = f"rt/{'x' * 254}"
     pqsec(f"-k k issue /a --publish {long} --publish rt/y").done()
     done = pqsec("-k k who-may --json").done()
-    assert "no topic of DDS has more than 256 characters" in done.err
+    assert "RTPS allows a topic 256 characters: no answer for rt/xxxx" in done.err
     assert {each["topic"]: each["publish"] for each in done.json["topics"]} == {
         long: [],
         "rt/y": ["/a"],
     }
+    asked = pqsec(f"-k k explain /a --publish {long}")
+    asked.refused(2, "longer than 256 characters", hint="RTPS allows no longer topic")
     assert "a name is longer" not in pqsec("-k k report -o report.html").done().err
