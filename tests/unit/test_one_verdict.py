@@ -15,6 +15,7 @@ import pytest
 
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
 from pqsec_pki.credentials import (
+    ALT_KEY,
     CERTIFICATE,
     FILES,
     GOVERNANCE,
@@ -31,6 +32,8 @@ from pqsec_pki.enrolment import Bundle, install
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Authorities, Keystore, enclave_files
 from pqsec_pki.lint import check
+from pqsec_pki.lint.collect import take_inventory
+from pqsec_pki.lint.enclaves.trust import cannot_be_trusted
 from pqsec_pki.policy import policy_input_of
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
@@ -581,3 +584,30 @@ def test_the_table_has_every_code_of_an_enclave():
     checks = {code for code in Code if re.fullmatch(r"C\d+", code.name)}
     assert len(ROWS) >= 40
     assert {code for _, code, _ in ROWS.values() if code} == set(Code) - elsewhere - checks
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda folder, peer: shutil.copy(peer / KEY, folder / KEY),
+        lambda folder, peer: shutil.copy(peer / ALT_KEY, folder / ALT_KEY),
+        lambda folder, _: (folder / ALT_KEY).unlink(),
+        lambda folder, _: shutil.copy(folder / ALT_KEY, folder / KEY),
+    ],
+    ids=["another key", "another second key", "no second key", "the second key as the first"],
+)
+def test_keys_of_others_are_refused_by_the_rule_itself(tmp_path, change):
+    """It leaves out keys that were compared before: only those that are the certificate's."""
+    root = made(tmp_path / "k", "transition").root
+    folder, peer = root / "enclaves/talker", root / "enclaves/listener"
+    assert [*_problems_of(folder)] == []
+    change(folder, peer)
+    assert Code.KEY_MISMATCH in _problems_of(folder)
+    if not (folder / ALT_KEY).exists():
+        (folder / KEY).unlink()  # both are on the robot
+        assert [*_problems_of(folder)] == []
+
+
+def _problems_of(folder):
+    [enclave] = take_inventory([folder], now=NOW).enclaves
+    return [each.code for each in cannot_be_trusted(enclave)]
