@@ -155,6 +155,11 @@ class LimitedChannel(HTTPChannel):
             self._end()
         super().allContentReceived()
 
+    def lineLengthExceeded(self, line: bytes) -> None:  # noqa: N802
+        """Close the connection now: Twisted's own way waits until its time is over."""
+        del line
+        self.loseConnection()
+
     def requestDone(self, request: Request) -> None:  # noqa: N802
         """Begin the time of the next one."""
         self.begin()
