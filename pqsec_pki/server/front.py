@@ -4,8 +4,6 @@ Everything that needs no key is refused here: unknown paths, too much, too often
 request. The rest is asked from the signer, which decides.
 """
 
-import base64
-import binascii
 import json
 import time
 from collections import Counter
@@ -19,26 +17,15 @@ from twisted.web.http import datetimeToString
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import rfc3339
-from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.errors import MalformedError, VerificationError
-from pqsec_pki.est import (
-    CERTIFICATE_HEADER,
-    EST,
-    PROBLEM,
-    RECEIPTS,
-    SCHEME,
-    TEXT,
-    NotSignedError,
-    from_base64,
-    verify_est_request,
-    verify_signed,
-)
+from pqsec_pki.est import EST, PROBLEM, RECEIPTS, TEXT, NotSignedError
 from pqsec_pki.server.addresses import key_of
 from pqsec_pki.server.asking import SignerCalls
-from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
+from pqsec_pki.server.call import SignerAnswer
 from pqsec_pki.server.channel import LimitedRequest
 from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Rate, RecentKeys
+from pqsec_pki.server.reading import media_type_of, signer_call, values_of
 from pqsec_pki.server.routes import Route
 from pqsec_pki.server.sending import send
 
@@ -47,8 +34,6 @@ _GIVEN = {200, 204}
 _RECEIPT = 16
 """A receipt may be so many times larger than a request: it has several participants."""
 _LONGEST_SHOWN = 80
-_ONLY_OWN = "a signed request is for paths of pqsec, and without a client certificate"
-_BASIC = "Authorization must be Basic, once, with the token's id and secret"
 
 
 @dataclass(slots=True)
@@ -97,7 +82,7 @@ class Front:
             exchange.finish(refused or SignerAnswer(status=404, detail="there is nothing here"))
             return
         try:
-            call = _call(route, request, exchange)
+            call = signer_call(route, request, exchange.address)
         except NotSignedError as error:
             exchange.finish(SignerAnswer(status=401, detail=str(error)))
             return
@@ -118,7 +103,7 @@ class Front:
         if request.method.decode("ascii", "replace") not in route.methods:
             detail = f"only {' and '.join(route.methods)} may be used here"
             return SignerAnswer(status=405, detail=detail)
-        if route.types and _media_type(request) not in route.types:
+        if route.types and media_type_of(request) not in route.types:
             return SignerAnswer(status=415, detail=f"send {' or '.join(sorted(route.types))}")
         if key_of(address) not in self.known and (wait := self.by_label.wait(route.label)):
             return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
@@ -159,7 +144,7 @@ class Exchange:
         return asks and not told and self.request.path.startswith(f"{EST}/".encode())
 
     def _has(self, etag: str) -> bool:
-        given = _header(self.request, "If-None-Match")
+        given = values_of(self.request, "If-None-Match")
         return any(etag == each.strip() for line in given for each in line.split(","))
 
     def _headers(self, answer: SignerAnswer, body: bytes) -> list[tuple[str, str]]:
@@ -199,97 +184,6 @@ class Exchange:
                 "ms": round(1000 * (time.monotonic() - self.begun), 1),
             }
         )
-
-
-def _call(route: Route, request: LimitedRequest, exchange: Exchange) -> SignerCall:
-    """What to ask the signer.
-
-    MalformedError for what is not a request, or wrong credentials; VerificationError for a request
-    that EST's rules refuse.
-    """
-    token, secret = _credentials(request)
-    return SignerCall(
-        kind=route.kind,
-        label=route.label,
-        address=exchange.address,
-        token=token,
-        secret=secret,
-        certificate=_certificate(route, request),
-        chain=request.channel.peer_chain(),
-        body=_content(route, request),
-    )
-
-
-def _content(route: Route, request: LimitedRequest) -> bytes:
-    """The DER of a request, or a receipt; errors as of `_call`."""
-    body = request.content.read()
-    if not route.kind.issues:
-        return body if route.kind is CallKind.RECEIPT else b""
-    if route.is_est:
-        found = CertificateRequest.from_der(from_base64(body))
-        renews = route.kind is CallKind.REENROL
-        verify_est_request(found, request.channel.connection, renews=renews)
-        return found.der
-    if body.lstrip().startswith(b"-----"):
-        match CertificateRequest.all_from_pem(body):
-            case (found,):
-                return found.der
-        raise MalformedError("send one request at a time")
-    return CertificateRequest.from_der(body).der
-
-
-def _certificate(route: Route, request: LimitedRequest) -> bytes:
-    """The certificate whose key the client has, by TLS or by a signature over this request.
-
-    MalformedError for both, and in EST, which has no such signature.
-    """
-    shown, signatures = request.channel.peer(), _signatures(request)
-    if not signatures:
-        return shown
-    if shown or route.is_est:
-        raise MalformedError(_ONLY_OWN)
-    return verify_signed(
-        request.channel.connection,
-        method=request.method.decode("ascii"),
-        path=request.path.decode("ascii"),
-        body=request.content.getvalue(),
-        certificates=_header(request, CERTIFICATE_HEADER),
-        signatures=signatures,
-    ).der
-
-
-def _signatures(request: LimitedRequest) -> str:
-    """What follows the scheme of signed requests; empty for another scheme."""
-    given = _header(request, "Authorization")
-    scheme, _, value = given[0].partition(" ") if len(given) == 1 else ("", "", "")
-    return value if scheme.upper() == SCHEME else ""
-
-
-def _credentials(request: LimitedRequest) -> tuple[str, str]:
-    """The token's identifier and secret (RFC 7617); MalformedError for another scheme."""
-    given = _header(request, "Authorization")
-    if not given or _signatures(request):
-        return "", ""
-    scheme, _, value = given[0].partition(" ")
-    if len(given) > 1 or scheme.lower() != "basic":
-        raise MalformedError(_BASIC)
-    try:
-        text = base64.b64decode(value.strip(), validate=True).decode("ascii")
-    except (ValueError, binascii.Error):
-        raise MalformedError(_BASIC) from None
-    token, _, secret = text.partition(":")
-    return token, secret
-
-
-def _media_type(request: LimitedRequest) -> str:
-    given = _header(request, "Content-Type") or [""]
-    return given[0].partition(";")[0].strip().lower()
-
-
-def _header(request: LimitedRequest, name: str) -> list[str]:
-    """The values of that header, which may have any octets (RFC 9110 5.5)."""
-    found = request.requestHeaders.getRawHeaders(name.encode(), [])
-    return [each.decode("latin-1") for each in found]
 
 
 def _media_type_of(answer: SignerAnswer) -> str:
