@@ -282,7 +282,7 @@ def test_who_waits_is_told_for_how_long_and_then_asks_the_same(server):
         assert reply.headers["content-type"].startswith("text/plain")
         assert b"waits for approval" in reply.body
     fingerprint = reply.body.split()[-1].decode()
-    server.cli("requests", "approve", fingerprint[:12], "--config", "serve.yaml")
+    server.cli("requests", "approve", fingerprint[:16], "--config", "serve.yaml")
     first, again = (certificates_in(posted(server, "simpleenroll", der)) for _ in range(2))
     assert [each.der for each in first] == [each.der for each in again]
 
