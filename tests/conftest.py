@@ -9,18 +9,19 @@ import os
 import signal
 from collections import Counter
 from collections.abc import Callable
-from contextlib import ExitStack
 from datetime import UTC, datetime
 from typing import TypeVar
 
 import hypothesis
 import pytest
-from coverage import Coverage
 
 from pqsec_pki.algorithms import _pbes2
 from pqsec_pki.inspection._key import FEW_ITERATIONS
 from tests.libraries import Libraries, libraries
 from tests.longer import ALL_CASES, LONG, gate_part
+from tests.measured import pytest_sessionstart
+
+__all__ = ["pytest_sessionstart"]
 
 Found = TypeVar("Found")
 
@@ -41,15 +42,6 @@ ELSEWHERE = ("in .ci/long: ", "PQSEC_OPENDDS_ROOT", "PQSEC_ROS2_TOOLS")
 or ROS 2's tools, which no registry has, and is run by hand."""
 
 
-NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e"}
-"""Folders whose tests run the same code over and over, or processes of their own."""
-MEASURED_THERE = {"test_postgres.py"}
-"""Files of those folders: nothing else runs what they run."""
-MEASURED = 0.5
-"""Seconds of the processor in which coverage of a test is measured: later it repeats itself, and
-measuring takes twice as long as the test."""
-
-
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is in `.ci/long`. Workers begin with the files that have most slow tests."""
     if not ALL_CASES and not any("::" in each for each in config.args):
@@ -60,30 +52,6 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         items.sort(key=lambda item: -slow[item.path])
-
-
-@pytest.hookimpl(wrapper=True)
-def pytest_runtest_protocol(item):
-    """Coverage is measured where a test shows something new, so that the gate takes half as long.
-
-    Not so in the job of mutants, which asks which test runs what.
-    """
-    coverage = Coverage.current()
-    if coverage is None or item.config.getoption("cov_context", None):
-        return (yield)
-    with ExitStack() as measured:
-
-        def stop(*_: object) -> None:
-            coverage.stop()
-            measured.callback(coverage.start)
-
-        if item.path.parent.name in NOT_MEASURED and item.path.name not in MEASURED_THERE:
-            stop()
-        else:
-            signal.signal(signal.SIGPROF, stop)
-            signal.setitimer(signal.ITIMER_PROF, MEASURED)
-            measured.callback(signal.setitimer, signal.ITIMER_PROF, 0)
-        return (yield)
 
 
 @pytest.fixture(scope="session")

@@ -16,7 +16,6 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import NamedTuple
 
-from coverage import Coverage
 from OpenSSL import SSL
 
 from pqsec_pki.certificates import Certificate
@@ -25,18 +24,10 @@ from pqsec_pki.enrolment import Bundle, pins_in_use, request
 from pqsec_pki.est import EnrolmentToken, ServerTrust, TlsIdentity, client_context, spki_pin
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.server import read_settings, record_token
+from tests.measured import measured_too
 from tests.unit.tls_sides import certificate
 
 ROOT = Path(__file__).parents[2]
-MEASURED_TOO = (
-    {
-        "COVERAGE_PROCESS_START": str(ROOT / "tests/processes.coveragerc"),
-        "COVERAGE_FILE": str(ROOT / ".coverage"),
-    }
-    if Coverage.current()
-    else {}
-)
-"""Coverage of processes: nothing but them runs the rooms of the server."""
 HOST = "127.0.0.1"
 PATIENCE = 60
 DOMAIN = """
@@ -121,7 +112,7 @@ class Server:
 
     def cli(self, *words, check=True):
         command = [sys.executable, "-m", "pqsec_pki", *words]
-        given = {**os.environ, **MEASURED_TOO, "PQSEC_KEYSTORE": str(self.root)}
+        given = {**os.environ, **measured_too(), "PQSEC_KEYSTORE": str(self.root)}
         done = subprocess.run(
             command, cwd=self.folder, env=given, capture_output=True, text=True, check=False
         )
@@ -153,7 +144,7 @@ class Server:
 
     def start(self):
         command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(self.config)]
-        given = {**os.environ, **MEASURED_TOO}
+        given = {**os.environ, **measured_too()}
         with (self.folder / "log").open("ab") as log:
             self.process = subprocess.Popen(
                 command, stderr=log, stdout=log, env=given, start_new_session=True

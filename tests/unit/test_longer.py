@@ -55,7 +55,7 @@ def toy(tmp_path):
     """toy(PQSEC_LONG, options) is what pytest says of a file of tests, with our conftest."""
     folder = tmp_path / "tests"
     folder.mkdir()
-    for name in ("conftest.py", "longer.py", "libraries.py"):
+    for name in ("conftest.py", "longer.py", "libraries.py", "measured.py"):
         (folder / name).symlink_to(TESTS / name)
     (folder / "longer.toml").write_text('["test_toy.py"]\ntest_table = ["1", "4"]\n')
     (folder / "test_toy.py").write_text(TOY)

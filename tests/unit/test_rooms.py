@@ -2,6 +2,7 @@
 
 import ast
 import importlib
+import os
 import re
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from pqsec_pki.selfcheck import STACKS as SIMULATED
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import EXPORTERS
 from pqsec_pki.vendors.messages import messages
+from tests.measured import measured_too
 
 ROOT = Path(pqsec_pki.__file__).parent
 GROUND = {
@@ -329,3 +331,13 @@ def test_no_two_classes_have_one_name():
 def test_reading_a_keystore_loads_no_operations():
     code = "import sys, pqsec_pki.keystore; sys.exit('pqsec_pki.lifecycle' in sys.modules)"
     subprocess.run([sys.executable, "-c", code], check=True, env={"PYTHONPATH": str(ROOT.parent)})
+
+
+def test_all_modules_can_be_imported():
+    """Also what is loaded on demand. The coverage of this process is measured."""
+    modules = {path.relative_to(ROOT.parent).with_suffix("") for path in ROOT.rglob("*.py")}
+    names = {".".join(each.parts).removesuffix(".__init__") for each in modules}
+    names -= {"pqsec_pki.ros.command", "pqsec_pki.ros.launch"}  # only ROS 2's Python can
+    code = "import importlib, sys; list(map(importlib.import_module, sys.argv[1:]))"
+    command = [sys.executable, "-c", code, *sorted(names)]
+    subprocess.run(command, check=True, cwd=ROOT.parent, env=os.environ | measured_too())
