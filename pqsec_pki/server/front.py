@@ -130,6 +130,8 @@ class Exchange:
         if self.request._disconnected:  # noqa: SLF001 -- Twisted has no other way to ask
             return
         body = b"" if self._only_asks_for_password(answer) else _body(answer)
+        if answer.status == HTTPStatus.TOO_MANY_REQUESTS:
+            self.request.channel.persistent = False  # what else it sent is not looked at
         self.request.setResponseCode(answer.status)
         for name, value in self._headers(answer, body):
             self.request.responseHeaders.setRawHeaders(name, [value])
@@ -167,6 +169,8 @@ class Exchange:
             found.append(("Allow", ", ".join(route.methods)))
         if answer.etag:
             found.append(("ETag", answer.etag))
+        if answer.status == HTTPStatus.TOO_MANY_REQUESTS:
+            found.append(("Connection", "close"))
         if answer.retry_after:
             found.append(("Retry-After", str(answer.retry_after)))
         return found

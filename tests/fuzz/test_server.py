@@ -29,3 +29,10 @@ def test_what_is_spoilt_is_answered_or_refused(name):
         except PqsecError:
             continue
     assert taken
+
+
+def test_who_asks_too_often_on_one_connection_is_told_once():
+    """Each of a thousand requests in one read was answered with 429, and nobody else meanwhile."""
+    sent = server.take_http(b"GET / HTTP/1.1\r\nHost: x\r\n\r\n" * 1000)
+    assert server.STATUS.findall(sent) == [b"404"] * server.ENOUGH + [b"429"]
+    assert b"Connection: close" in sent.rpartition(b"HTTP/1.1 429")[2]
