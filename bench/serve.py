@@ -90,14 +90,18 @@ class BenchServer(Server):
     """A server for many robots, with any ledger."""
 
     def __init__(self, folder: Path, ledger: LedgerAddress | None, options) -> None:
-        self._ledger, self._count = ledger, options.robots
-        limits = LIMITS
+        self._ledger = ledger
         super().__init__(
-            folder, datetime.now(UTC), options.profile, renew="any-time", limits=limits
+            folder,
+            datetime.now(UTC),
+            options.profile,
+            robots=options.robots,
+            renew="any-time",
+            limits=LIMITS,
         )
 
-    def create(self, profile: str, now: datetime) -> None:
-        text = DOMAIN.format(profile=profile, count=self._count)
+    def create(self, profile: str, now: datetime, robots: int = 1) -> None:
+        text = DOMAIN.format(profile=profile, count=robots)
         (self.folder / "domain.yaml").write_text(text)
         Keystore.create(
             self.root,
