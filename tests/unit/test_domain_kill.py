@@ -15,6 +15,7 @@ import pytest
 from pqsec_pki.domain import StepAction, create_keystore, read_domain
 from pqsec_pki.keystore import audit
 from pqsec_pki.lifecycle import revoke
+from tests.longer import LONG
 from tests.unit.domains import DAY, FILE, NOW, Scene
 from tests.unit.killing import at_once, check_no_halves, check_whole, copies, drafts
 
@@ -105,7 +106,7 @@ def test_a_process_that_is_killed_is_ended_by_the_next(place):
     chance = random.Random("apply")  # noqa: S311 -- the same each time
     text = FILE.replace("1..3", "1..40")
     killed = 0
-    for number in range(4):
+    for number in range(4 if LONG else 2):
         (place / str(number)).mkdir()
         scene = Scene(place / str(number), text)
         command = [sys.executable, "-c", SMALL_BATCHES, "-k", str(scene.root), "apply"]
