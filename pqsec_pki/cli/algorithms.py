@@ -9,7 +9,16 @@ from pqsec_pki.algorithms import (
     SIGNATURES,
     Profile,
 )
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _formats, _help, _printing, _settings
+
+_PROFILE_COLUMNS = (
+    *("profile", "identity_key", "alternative_key", "key_agreement", "level", "runs_in"),
+    *("promises", "default", "summary"),
+)
+_COLUMNS = (
+    *("kind", "name", "aliases", "family", "level", "public_key_bytes", "signature_bytes"),
+    *("dh1_bytes", "dh2_bytes", "runs_in", "standard", "experimental", "package"),
+)
 
 
 @_help.command(
@@ -22,11 +31,18 @@ from pqsec_pki.cli import _help, _printing, _settings
         3: "the list cannot be printed",
     },
 )
+@_formats.option()
 @_settings.command_options
-def profiles() -> None:
+def profiles(form: str) -> None:
     """List the profiles: algorithms that are used together."""
     lines = [line for profile in PROFILES for line in (*_lines(profile), "")]
-    _printing.emit({"profiles": PROFILES}, lines[:-1])
+    _formats.emit(
+        form,
+        {"profiles": PROFILES},
+        lines[:-1],
+        columns=_PROFILE_COLUMNS,
+        items=[profile.to_json() for profile in PROFILES],
+    )
 
 
 def _lines(profile: Profile) -> Iterator[str]:
@@ -51,19 +67,22 @@ def _lines(profile: Profile) -> Iterator[str]:
         3: "the list cannot be printed",
     },
 )
+@_formats.option()
 @_settings.command_options
-def algorithms() -> None:
+def algorithms(form: str) -> None:
     """List the algorithms, their sizes and which stacks run them.
 
     LEVEL is the NIST security category; 0 is broken by a quantum computer. Sizes are
     maxima in bytes. Experimental algorithms, and those of other packages,
     are in no profile, and are used only if named.
     """
+    _formats.chosen(form)
     errors = (*SIGNATURES.load_foreign(), *KEY_AGREEMENTS.load_foreign())
     for error in dict.fromkeys(map(str, errors)):
         _printing.note(error)
     signatures, agreements = SIGNATURES.to_json(), KEY_AGREEMENTS.to_json()
-    _printing.emit(
+    _formats.emit(
+        form,
         {"signatures": signatures, "key_agreements": agreements},
         [
             *_printing.table(
@@ -75,6 +94,14 @@ def algorithms() -> None:
                 ("KEY AGREEMENT", "FAMILY", "LEVEL", "DH1", "DH2", "RUNS IN", "STANDARD"),
                 [_cells(row, "dh1_bytes", "dh2_bytes") for row in agreements],
             ),
+        ],
+        columns=_COLUMNS,
+        items=[
+            *(
+                {"kind": "signature", "runs_in": row["identities_run_in"]} | row
+                for row in signatures
+            ),
+            *({"kind": "key agreement"} | row for row in agreements),
         ],
     )
 

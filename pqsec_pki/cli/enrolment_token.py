@@ -8,7 +8,7 @@ import click
 from pqsec_pki._files import read, refuse_existing, write
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _formats, _help, _printing, _settings
 from pqsec_pki.enrolment import pins_in_use
 from pqsec_pki.errors import located
 from pqsec_pki.est import EnrolmentToken, needs_extra
@@ -30,6 +30,7 @@ _config = click.option(
     metavar="FILE",
     help="The server's configuration: serve.yaml.",
 )
+_COLUMNS = ("id", "names", "uses", "used", "replaces", "made_at", "not_after", "end")
 
 
 @_help.group("enrolment-token")
@@ -122,10 +123,12 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     },
 )
 @_config
+@_formats.option()
 @_settings.command_options
-def list_(file: Path) -> None:
+def list_(file: Path, form: str) -> None:
     """List all tokens that were created: for whom, how often used, and whether they end."""
-    _print(token_states(Keystore.open(read_settings(file).keystore)))
+    _formats.chosen(form)
+    _print(token_states(Keystore.open(read_settings(file).keystore)), form)
 
 
 @enrolment_token.command(
@@ -161,7 +164,7 @@ def _server_pins(settings: ServerSettings) -> frozenset[str]:
         return frozenset(found)
 
 
-def _print(tokens: list[TokenState]) -> None:
+def _print(tokens: list[TokenState], form: str = _formats.TABLE) -> None:
     now = _settings.now()
     rows = [
         (
@@ -174,5 +177,6 @@ def _print(tokens: list[TokenState]) -> None:
         for each in tokens
     ]
     lines = _printing.table(("ID", "NAMES", "USED", "UNTIL", "STATE"), rows) if rows else []
-    value = {"tokens": [each.to_json(now) for each in tokens]}
-    _printing.emit(value, lines or ["no tokens: `pqsec enrolment-token create` makes one"])
+    values = [each.to_json(now) for each in tokens]
+    lines = lines or ["no tokens: `pqsec enrolment-token create` makes one"]
+    _formats.emit(form, {"tokens": values}, lines, columns=_COLUMNS, items=values)

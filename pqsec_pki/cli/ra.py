@@ -8,7 +8,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki.algorithms import PublicKey, load_public_key, unpem
 from pqsec_pki.approvals import Covered, RegistrationGrant
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _formats, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.plan import DEFAULT_FILE
 from pqsec_pki.domain import Desired, read_domain, role_value
@@ -16,6 +16,10 @@ from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, located,
 from pqsec_pki.keystore import Registration, SigningCa, enrolled_by, registrations
 from pqsec_pki.lifecycle import add_registration, end_registrations
 
+_COLUMNS = (
+    *("authority", "state", "begins", "ends", "used", "most", "names", "roles", "longest_hours"),
+    "sha256",
+)
 _HEADERS = ("authority", "state", "until", "used", "of", "names", "roles", "validity")
 
 
@@ -174,11 +178,14 @@ def add(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 )
 @click.option("--grant", "granted", metavar="RA", help="Print the newest grant of this RA alone.")
 @click.option("--enrolled", metavar="RA", help="Print the participants that this RA enrolled.")
+@_formats.option()
 @_settings.command_options
-def list_(granted: str | None, enrolled: str | None) -> None:
+def list_(granted: str | None, enrolled: str | None, form: str) -> None:
     """Show the grants of registration authorities, and how far they are used."""
     if granted and enrolled:
         raise UsageError("--grant and --enrolled exclude each other")
+    if _formats.chosen(form) == _formats.CSV and (granted or enrolled):
+        raise UsageError("--format csv lists all grants, without --grant or --enrolled")
     keystore, now = _settings.open_keystore(), _settings.now()
     found = registrations(keystore)
     if name := granted or enrolled:
@@ -195,9 +202,15 @@ def list_(granted: str | None, enrolled: str | None) -> None:
             text = own[-1].signed.to_file().decode()
             _printing.emit({"grant": text}, text.splitlines())
         return
-    value = {"registration_authorities": [each.to_json(now) for each in found]}
     rows = [_row(each, now) for each in found]
-    _printing.emit(value, _printing.table(_HEADERS, rows) if rows else ["none: pqsec ra add"])
+    lines = _printing.table(_HEADERS, rows) if rows else ["none: pqsec ra add"]
+    _formats.emit(
+        form,
+        {"registration_authorities": [each.to_json(now) for each in found]},
+        lines,
+        columns=_COLUMNS,
+        items=[{**each.to_json(now), "roles": list(each.grant.roles)} for each in found],
+    )
 
 
 @ra.command(

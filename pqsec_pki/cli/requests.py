@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._times import said
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _formats, _help, _printing, _settings
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.server import (
     APPROVAL,
@@ -26,6 +26,7 @@ _config = click.option(
     metavar="FILE",
     help="The server's configuration: serve.yaml.",
 )
+_COLUMNS = ("name", "sha256", "address", "received", "asked", "replaces")
 _ids = click.argument("ids", nargs=-1, required=True, metavar="SHA256...")
 
 
@@ -45,18 +46,20 @@ def requests() -> None:
     },
 )
 @_config
+@_formats.option()
 @_settings.command_options
-def list_(file: Path) -> None:
+def list_(file: Path, form: str) -> None:
     """List the requests that wait, oldest first.
 
     Compare the SHA-256 with what the robot shows (`pqsec inspect request.csr`): anybody can send
     a request, for any name. REPLACES is `its key` if the participant has a certificate for another
     key, which an approval replaces.
     """
+    _formats.chosen(form)
     settings = read_settings(file)
     found = settings.room.all()
     replaced = replacing(Keystore.open(settings.keystore), found, now=_settings.now())
-    _print(found, replaced, "")
+    _print(found, replaced, "", form)
 
 
 @requests.command(
@@ -119,7 +122,12 @@ def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
         )
 
 
-def _print(found: Sequence[WaitingRequest], replaced: Collection[str], word: str) -> None:
+def _print(
+    found: Sequence[WaitingRequest],
+    replaced: Collection[str],
+    word: str,
+    form: str = _formats.TABLE,
+) -> None:
     rows, values = [], []
     for each in found:
         replaces = each.sha256 in replaced
@@ -128,4 +136,4 @@ def _print(found: Sequence[WaitingRequest], replaced: Collection[str], word: str
         values.append({**each.to_json(), "replaces": replaces})
     heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "REPLACES", "")
     lines = _printing.table(heads, rows) if rows else ["no request waits"]
-    _printing.emit({"requests": values}, lines)
+    _formats.emit(form, {"requests": values}, lines, columns=_COLUMNS, items=values)

@@ -48,6 +48,11 @@ def test_a_registration_authority_enrols_a_robot(pqsec, lab):
     pqsec("install out/fleet+r1.bundle --dir r --trust-first").done()
     [grant] = pqsec("-k k ra list --json").done().json["registration_authorities"]
     assert (grant["state"], grant["used"]) == ("valid", 1)
+    listed = pqsec("-k k ra list --format csv").done().out.splitlines()[1]
+    assert listed.startswith("line1,valid,20")
+    assert f",1,2,/fleet/*,robot,{90 * 24}," in listed
+    refused = pqsec("-k k ra list --enrolled line1 --format csv")
+    refused.refused(2, "--format csv lists all grants")
     assert pqsec("-k k ra list --enrolled line1").done().out == "/fleet/r1\n"
     assert pqsec("-k k ra list --grant line1").done().out == (lab / "line1.grant").read_text()
     pqsec("-k k log --verify").done()

@@ -191,6 +191,9 @@ def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
         assert (reply.status, reply.headers["retry-after"]) == (202, "60")
         assert robot.request.fingerprint in reply.body.decode()
     head = asking.keystore.head
+    rows = asking.cli("requests", "list", "--config", "serve.yaml", "--format", "csv").stdout
+    assert rows.startswith("name,sha256,address,received,asked,replaces\n")
+    assert len(rows.splitlines()) == 2
     listed = json.loads(asking.cli("requests", "list", "--config", "serve.yaml", "--json").stdout)
     [waits] = listed["requests"]
     assert (waits["sha256"], waits["replaces"]) == (robot.request.fingerprint, False)
