@@ -40,12 +40,14 @@ def current() -> Stage | None:
 @contextmanager
 def stage(total: int, what: str = "") -> Iterator[Stage]:
     """Tell the block's value what is done. Within another stage it is that one, which counts."""
-    outer = _Now.stage
-    _Now.stage = outer or Stage(total, what)
-    try:
+    if _Now.stage:
         yield _Now.stage
+        return
+    made = _Now.stage = Stage(total, what)
+    try:
+        yield made
     finally:
-        _Now.stage = outer
+        _Now.stage = None
 
 
 def counted(items: Iterable[Item], total: int, what: str = "", *, each: int = 1) -> Iterator[Item]:

@@ -68,6 +68,14 @@ class ServerTrust:
     authorities: bytes = field(default=b"", repr=False)
     """Without pins: CAs in PEM, one of which issued a valid certificate for the server's name."""
 
+    def __post_init__(self) -> None:
+        """UsageError if nothing says which server is trusted."""
+        if not (self.pins or self.authorities):
+            raise UsageError(
+                "nothing says which server is trusted",
+                hint="use a token file, --server-pin SHA256, or --server-ca FILE",
+            )
+
 
 def is_for_tls(key: bytes) -> bool:
     """Whether TLS can use the key in the content of a file; errors as of `load_private_key`."""
@@ -104,22 +112,17 @@ def client_context(
     """A context of a client for a connection to `host`.
 
     The connection's handshake raises VerificationError for a server that is not trusted, before
-    the client's certificate is sent. UsageError if nothing says which server is trusted.
+    the client's certificate is sent.
     """
     context = _context(SSL.TLS_CLIENT_METHOD, classical=classical)
     if identity:
         _use(context, identity)
     if trust.pins:
         context.set_verify(SSL.VERIFY_PEER, _pinned(trust.pins))
-    elif trust.authorities:
+    else:
         with _in_memory(trust.authorities) as path:
             context.load_verify_locations(path)
         context.set_verify(SSL.VERIFY_PEER, _issued(host))
-    else:
-        raise UsageError(
-            "nothing says which server is trusted",
-            hint="use a token file, --server-pin SHA256, or --server-ca FILE",
-        )
     return context
 
 

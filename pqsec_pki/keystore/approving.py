@@ -21,10 +21,10 @@ _STATEMENT = "statement"
 def policy_of(ledger: Ledger) -> ApprovalPolicy | None:
     """The newest policy; None if changes need no approvals. KeystoreError if it is damaged."""
     newest = ledger.newest(POLICY)
-    return _policy_in(newest[0]) if newest else None
+    return policy_in(newest[0]) if newest else None
 
 
-def _policy_in(entry: Entry) -> ApprovalPolicy | None:
+def policy_in(entry: Entry) -> ApprovalPolicy | None:
     """The policy in a line of that kind; KeystoreError if that is damaged."""
     text = entry.details.get(_STATEMENT)
     if text == "":

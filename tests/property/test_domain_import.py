@@ -158,7 +158,7 @@ def permitted(keystore, names):
     """One more rule for each."""
     more = PermissionRule(allow=True, domains=ZERO, relay=(Criteria(topics=("new",)),))
 
-    def edit(grant):
+    def edit(_, grant):
         return replace(grant, rules=(*grant.rules, more))
 
     changes = changed_permissions(keystore, names, edit, now=NOW)

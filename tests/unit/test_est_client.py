@@ -242,7 +242,9 @@ def test_a_server_that_never_pauses_holds_nobody_beyond_the_limit(
 
 
 def test_the_secret_is_in_no_repr():
-    made = EstClient(server="https://a", trust=ServerTrust(), secret=("id", "geheim"))
+    made = EstClient(
+        server="https://a", trust=ServerTrust(frozenset({"0" * 64})), secret=("id", "geheim")
+    )
     assert "geheim" not in repr(made)
 
 

@@ -25,6 +25,14 @@ def test_an_operation_within_another_counts_for_that_one():
         assert here.done == 10
 
 
+def test_an_operation_that_ends_after_the_one_around_it_leaves_none():
+    around, within = counted("ab", 2), counted("ab", 2)
+    for _ in zip(around, within, strict=True):
+        pass
+    within.close()
+    assert current() is None
+
+
 def test_a_failure_ends_the_operation():
     with pytest.raises(ValueError, match="here"), stage(1):
         raise ValueError("here")
