@@ -60,8 +60,10 @@ def _known(url: str, folder: Path, trust: "ServerTrust | None") -> "KnownServer"
         return replace(before, trust=trust) if trust else before
     if trust:
         return KnownServer(server=server, trust=trust)
-    where = f"the server of {folder} is {before.server}" if before else f"{folder} knows no server"
+    where = (
+        f"the server of {folder} is {before.server}" if before else f"{folder} has no server.json"
+    )
     raise UsageError(
-        f"{where}, and nothing says how {server} is known",
+        f"{where}; say how to trust {server}",
         hint="--server-pin SHA256 or --server-ca FILE; `pqsec enrol` keeps it in server.json",
     )

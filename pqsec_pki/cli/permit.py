@@ -86,7 +86,7 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
 
     NAME may be a pattern ('/robot1/*') or a group (@hall1). With --policy, such as a proposal
     of `pqsec permissions learn`, each participant gets what the file grants to its name; without
-    a NAME, all that are in the file and in the keystore.
+    a NAME, all that are in the file and in the keystore. The permissions keep their validity.
 
     The change of rights is shown first. Either all participants are changed or none. Robots get
     the new permissions with their next bundle, or by a copy of the enclave.
@@ -107,6 +107,8 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
         for each in changes
     ]
     complete = note_incomplete(differences)
+    if policy:
+        _note_validity(policy, grants, found)
     if changes:
         if not yes:
             _ask(changes, differences)
@@ -156,7 +158,7 @@ def _in_policy(
     both = [name for name in granted if name in there]
     if not both:
         raise KeystoreError(
-            f"nobody whom {policy} has grants for is in the keystore",
+            f"no participant in {policy} is in the keystore",
             hint=f"`pqsec issue --policy {policy}` issues them",
         )
     found = admitted(keystore, names or _EVERYBODY, both)
@@ -196,6 +198,25 @@ def _edit(
         return add_rights(grant, rights, wanted or allowed_domains(grant) or keystore.domains)
 
     return edited
+
+
+def _note_validity(
+    policy: Path, grants: Iterable[Grant], found: Iterable[PermissionsChange]
+) -> None:
+    """Note that rights end later than the policy says: it changes no validity."""
+    if policy.suffix == ".xml":
+        return  # SROS2 policies have none
+    ends = {each.name: each.not_after for each in grants}
+    later = [
+        each.name
+        for each in found
+        if any(grant.not_after > ends.get(each.name, grant.not_after) for grant in each.new.grants)
+    ]
+    if later:
+        _printing.note(
+            f"{policy} has a shorter validity than the permissions of {_printing.few(later)}, which"
+            " stays: `pqsec renew --validity` changes it"
+        )
 
 
 def _ask(changes: list[PermissionsChange], differences: list[DocumentDifference]) -> None:

@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki import _files
+from pqsec_pki._files import is_there
 from pqsec_pki.approvals import MAX_GRANT, RegistrationGrant, SignedGrant
 from pqsec_pki.cli import _approver, _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import (
@@ -28,6 +29,7 @@ from pqsec_pki.enrolment import (
     sign,
 )
 from pqsec_pki.errors import UsageError, VerificationError, located
+from pqsec_pki.keystore import matching
 
 _force = click.option("--force", is_flag=True, help="Replace existing files or participants.")
 
@@ -114,6 +116,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _refuse_rights()
         signer = _approver.key_at(key, key_passphrase_file)
         validity = wanted["validity"] if _is_given("validity") else limits.longest
+        _refuse_uncovered(names, validity, limits)
         asked = ordered(csrs, limits, signer, role, validity=validity, now=_settings.now())
     else:
         specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
@@ -211,8 +214,9 @@ def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         return
     if output is None:
         raise UsageError("no output file named", hint="use -o FILE, or --show to sign nothing")
-    if not force:
-        _files.refuse_existing(output)
+    if not force and not (by and by.done):
+        with _printing.with_hint("choose another place with -o"):
+            _files.refuse_existing(output)
     authorities = _passphrases.unlock(keystore, passphrase_file)
     if by:
         answer = perform_order(asked, keystore, authorities, now=_settings.now(), anchors=anchor)
@@ -228,7 +232,8 @@ def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             compromised_keys=compromised_keys,
         )
     with _printing.with_hint("the certificates are issued: run it again with another -o"):
-        _files.write(output, answer, force=force)
+        if not (by and is_there(output) and _files.read(output, limit=MAX_ARCHIVE) == answer):
+            _files.write(output, answer, force=force)
     names = [spec.name for spec in asked.specs]
     value = {"answer": output, "names": names, "request_sha256": asked.sha256}
     _printing.emit(value, [*names, f"{output}  answers SHA-256 {asked.sha256}"])
@@ -306,6 +311,17 @@ def _read(path: Path) -> SignRequest:
 def _grant(path: Path) -> RegistrationGrant:
     with located(path):
         return SignedGrant.from_file(_files.read(path, limit=MAX_GRANT)).grant
+
+
+def _refuse_uncovered(names: list[str], validity: timedelta, grant: RegistrationGrant) -> None:
+    """UsageError for what the CAs would refuse, as the grant does not cover it."""
+    for name in names:
+        if not any(matching(pattern, [name]) for pattern in grant.names):
+            raise UsageError(f"{name}: the grant is for {', '.join(grant.names)}")
+    if len(names) > grant.most:
+        raise UsageError(f"{len(names)} participants, and the grant is for {grant.most}")
+    if validity > grant.longest:
+        raise UsageError(f"{_length(validity)}, and the grant allows {_length(grant.longest)}")
 
 
 def _is_given(option: str) -> bool:

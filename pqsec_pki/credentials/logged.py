@@ -57,4 +57,5 @@ def verify_logged(
 
 def missing_proof(name: str) -> Problem:
     """The problem of a participant without a proof where one is demanded."""
-    return Problem("it is missing, and demanded here", Code.PROOF_MISSING, PROOF).of(name)
+    words = "it is missing, and demanded here: install a new bundle, which has one"
+    return Problem(words, Code.PROOF_MISSING, PROOF).of(name)

@@ -54,6 +54,6 @@ def _kept(folder: Path) -> Iterator[Place]:
         below = sorted(each for each in folder.iterdir() if each.is_dir())
     for each in (folder, *below):
         if (each / SETTINGS).is_file():
-            yield Place("keystore", each, "yours: with it go the CA keys")
+            yield Place("keystore", each, "removing it deletes the CA keys")
         if is_credential_store(each):
-            yield Place("credentials", each, "yours: with it go the robot's keys")
+            yield Place("credentials", each, "removing it deletes the robot's keys")

@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.credentials import ENCLAVES, TrustAnchors
-from pqsec_pki.errors import FileError
+from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.lint._anchors import SharedAnchors
 from pqsec_pki.lint._search import Search
 from pqsec_pki.lint.document import Document, Documents
@@ -27,7 +27,7 @@ def take_inventory(
     """The inventory of these files and folders; links to files are followed.
 
     Enclaves with the CAs in `anchors` use this value, with what it verified before. With `proofs`,
-    each must have one that the ledger has its documents.
+    each must have one that the ledger has its documents; UsageError for a keystore, which has none.
 
     FileError if a path does not exist or cannot be read, or if there is nothing or too much to
     check.
@@ -36,6 +36,11 @@ def take_inventory(
     named = list(paths)
     for path in named:
         search.add(path)
+    if proofs and (search.keystore or search.interrupted_change):
+        raise UsageError(
+            "--proofs is for a robot's folder: a keystore has no proofs, only bundles have them",
+            hint="`pqsec log --verify` verifies the keystore's ledger",
+        )
     files = tuple(search.files.values())
     if not files and not search.enclaves:
         where = ", ".join(map(str, named))

@@ -25,8 +25,8 @@ JUSTIFIED = {
     "issue it again: pqsec issue --force, with its topics or a --policy": SAYS_WHAT,
     "issue it again: `pqsec issue` with --force and all its topics; with --csr if its key is on"
     " the robot": SAYS_WHAT,
-    "Restore the files that were issued. Or run `pqsec issue` with --force and all rights of the"
-    " participant.": SAYS_WHAT,
+    "Restore the files that were issued; if only `ledger.proof` is missing or wrong, install a new"
+    " bundle. Else run `pqsec issue` with --force and all rights of the participant.": SAYS_WHAT,
     "restore it, or issue it again: pqsec issue * --force ...; if it was issued with"
     " --certificate-only: pqsec permit * ...": SAYS_WHAT,
     "restore that file, or issue it again: pqsec issue * --force ...": SAYS_WHAT,

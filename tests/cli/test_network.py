@@ -183,7 +183,7 @@ MEANINGLESS = {
     f"enrol https://a --name /x --server-pin {'0' * 64} --factory-cert k/pqsec.json": "need each",
     f"enrol https://a --name /x --server-ca k/pqsec.json --server-pin {'0' * 64}": "exclude",
     "enrol https://b --token-file robot1.token": "the token is for https://127.0.0.1",
-    "renew --from https://a --dir r": "r knows no server",
+    "renew --from https://a --dir r": "r has no server.json",
     "renew --from https://a --dir r --all": "--all is for a keystore",
     "renew --from https://a --dir r --validity 5d": "--validity is for a keystore",
     "renew --from https://a --dir r --keep-key": "--keep-key is for a keystore",

@@ -43,6 +43,12 @@ def test_a_registration_authority_enrols_a_robot(pqsec, lab):
         "request": shown["participants"][0]["request"],
     }
     pqsec(SIGN).done()
+    answer = (lab / "answer").read_bytes()
+    pqsec(SIGN).done()
+    assert (lab / "answer").read_bytes() == answer
+    (lab / "other").write_text("x")
+    other = SIGN.replace("-o answer", "-o other")
+    pqsec(other).refused(3, "other exists", hint="another -o")
     assert pqsec("-k k sign-request sign order --show").done().out.count("and performed") == 1
     pqsec("sign-request import answer --request order --bundles out").done()
     pqsec("install out/fleet+r1.bundle --dir r --trust-first").done()
@@ -83,6 +89,10 @@ def test_mistakes_are_named(pqsec, lab):
         pqsec(f"{ORDER} {option}").refused(2, f"{option.split()[0]} cannot be ordered")
     lone = ORDER.replace("--key line1.pem ", "")
     pqsec(lone).refused(2, "--grant and --key belong together")
+    pqsec(f"{ORDER} --validity 1y").refused(2, "365d, and the grant allows 90d")
+    elsewhere = ADD.replace("line1", "other").replace("/fleet", "/hall")
+    pqsec(elsewhere).done()
+    pqsec(ORDER.replace("line1", "other")).refused(2, "/fleet/r1: the grant is for /hall/*")
     pqsec(f"sign-request export {CSR} --role x -o order").refused(2, "--role to them")
     pqsec(f"{ORDER} --role arm").refused(2, "the grant has no role arm")
     pqsec(ORDER.replace("line1.pem", "other.pem")).refused(1, "is not that of line1")

@@ -10,7 +10,7 @@ from pqsec_pki.credentials import Credentials, verify_credentials, verify_logged
 from pqsec_pki.enrolment import Bundle, install, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import MalformedError, UsageError, VerificationError
 from pqsec_pki.keystore import BundleNumbers
 from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.lifecycle import renew
@@ -286,6 +286,11 @@ def test_check_finds_a_missing_proof_where_it_is_demanded(bundle, robot):
             told = [each for each in found if each.code is Code.PROOF_MISSING]
             assert bool(told) is (demanded and not there)
             assert {each.path for each in told} <= {proof}
+
+
+def test_a_proof_is_not_demanded_of_a_keystore(keystore):
+    with pytest.raises(UsageError, match="a keystore has no proofs"):
+        check([keystore.root], now=NOW, proofs=True)
 
 
 def test_a_proof_is_checked_against_the_verified_files(keystore, bundle):

@@ -128,6 +128,19 @@ def test_two_participants_of_one_name_are_told(tmp_path):
     assert "/a has the same subject" in finding.message
 
 
+def test_the_set_before_the_current_one_is_not_another_participant(tmp_path):
+    keys = (certificate("CN=/a"), certificate("CN=/a", OTHER_KEY))
+    files = {
+        f"{robot}/sets/{number}/enclaves/a/{name}": data
+        for robot in ("r1", "r2")
+        for number, pem in enumerate(keys, 1)
+        for name, data in (("cert.pem", pem), ("key.pem", b"no key"))
+    }
+    one = {path: data for path, data in files.items() if path.startswith("r1/")}
+    assert found_in(tmp_path / "one", "PQS402", one) == []
+    assert len(found_in(tmp_path / "two", "PQS402", files)) == 1
+
+
 @pytest.mark.parametrize(("subject", "key"), [("CN=/a", KEY), ("CN=/b", OTHER_KEY)])
 def test_one_participant_in_two_places_and_two_of_two_names_are_not(tmp_path, subject, key):
     files = two_enclaves(certificate("CN=/a"), certificate(subject, key))

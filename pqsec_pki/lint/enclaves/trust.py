@@ -76,8 +76,8 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
     why="pqsec verifies a participant's credentials in one place, in the order of DDS-Security 1.1"
     " (9.3.3, 9.4.3). If they fail, `pqsec export`, `try`, `verify-handshake`, `bundle` and"
     " `install` refuse them. Stock stacks may be less strict.",
-    fix="Restore the files that were issued. Or run `pqsec issue` with --force and all rights of"
-    " the participant.",
+    fix="Restore the files that were issued; if only `ledger.proof` is missing or wrong, install a"
+    " new bundle. Else run `pqsec issue` with --force and all rights of the participant.",
     bad="""
         $ cp -rL k/enclaves/talker robot
         $ cat k/public/identity_ca.cert.pem >> robot/identity_ca.cert.pem

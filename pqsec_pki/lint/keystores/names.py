@@ -14,6 +14,8 @@ from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
+_SETS = "sets"
+"""The folder of a robot's sets of credentials, `sets/<n>/enclaves/...`."""
 _CYCLONE = Stack.CYCLONEDDS
 _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
@@ -119,12 +121,23 @@ def _pieces(name: str) -> frozenset[tuple[str, str]]:
     """,
 )  # fmt: skip
 def same_name(inventory: Inventory) -> Iterator[Violation]:
-    before: dict[bytes, tuple[str, bytes]] = {}
+    before: dict[bytes, tuple[str, bytes, Path]] = {}
     for enclave in inventory.enclaves:
         certificate = enclave.certificate()
         if certificate is None:
             continue
-        name, spki = before.setdefault(certificate.subject_der, (enclave.name, certificate.spki))
-        if spki != certificate.spki:
+        place = _without_set(enclave.folder)
+        first = before.setdefault(certificate.subject_der, (enclave.name, certificate.spki, place))
+        name, spki, elsewhere = first
+        if spki != certificate.spki and place != elsewhere:
             message = f"{name} has the same subject {certificate.subject_name} and another key"
             yield Violation(message, path=enclave.files[CERTIFICATE].path)
+
+
+def _without_set(folder: Path) -> Path:
+    """The folder without the number of its set: a robot keeps the set before the current one."""
+    parts = folder.parts
+    if _SETS not in parts:
+        return folder
+    place = len(parts) - parts[::-1].index(_SETS)
+    return Path(*parts[:place], *parts[place + 1 :])
