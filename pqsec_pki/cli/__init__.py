@@ -107,7 +107,7 @@ COMMANDS = {
     "inspect": ("inspect", "Describe a certificate, key, request or document."),
     "uninstall": (
         "uninstall",
-        "List what of pqsec is where on this machine, and how each is removed.",
+        "List what pqsec has on this machine, and how each is removed.",
     ),
     "bench": ("bench", "Measure the time, message sizes and memory of the handshake."),
     "estimate": (
@@ -166,6 +166,8 @@ class _Lazy(Group):
         unknown = args[0] not in COMMANDS and not args[0].startswith("-")
         if unknown and not ctx.resilient_parsing:
             instead = meant(args[0], COMMANDS).replace("did", " Did", 1)
+            if args[0] == "completion":
+                instead = f" `{VARIABLE}=bash_source pqsec` prints it for bash."
             ctx.fail(f"No such command {shown(args[0])!r}.{instead}")
         return super().resolve_command(ctx, args)
 

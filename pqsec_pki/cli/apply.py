@@ -366,8 +366,7 @@ def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Pat
             "copy to every robot its enclave folder, with the files that its links point to, and"
             " restart all participants of a domain together; run apply again for other changes"
         )
-    for each in found.blocked:
-        _printing.note(f"{each.name} {each.why}: not changed")
+    _note_blocked(found)
     note_left(found)
     if any(step.action in {StepAction.REVOKE, StepAction.RENEW_CRL} for step in done):
         _printing.note("there is a new revocation list: copy it to every robot")
@@ -386,3 +385,13 @@ def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Pat
     lines += [f"bundles: {len(written)}"] if written else []
     value = replace(found, steps=tuple(done)).to_json()
     _printing.emit(value | {"done": True, "bundles": written}, lines)
+
+
+def _note_blocked(found: Plan) -> None:
+    """One note for each reason, whatever number of participants it keeps unchanged."""
+    names: dict[str, list[str]] = {}
+    for each in found.blocked:
+        names.setdefault(each.why, []).append(each.name)
+    for why, those in names.items():
+        who = those[0] if len(those) == 1 else f"each of {_printing.few(those)}"
+        _printing.note(f"{who} {why}: not changed")

@@ -13,7 +13,7 @@ from pqsec_pki.errors import UsageError
 
 @_help.command(
     examples={
-        "List what of pqsec is on this machine, and how to remove it": "pqsec uninstall --list",
+        "List what pqsec has on this machine, and how to remove it": "pqsec uninstall --list",
         "Look for keystores and credentials in a folder too": "pqsec uninstall --list robots",
     },
     exit_codes={0: "listed", 3: "a folder or file cannot be read"},
@@ -22,7 +22,7 @@ from pqsec_pki.errors import UsageError
 @click.option("--list", "listed", is_flag=True, help="Show what is where. Nothing is removed.")
 @_settings.command_options
 def uninstall(folders: tuple[Path, ...], *, listed: bool) -> None:
-    """List what of pqsec is where on this machine, and how each is removed.
+    """List what pqsec has on this machine, and how each is removed.
 
     It looks for keystores and credentials in the current folder, in those of -k and its
     variables, and in each FOLDER, and one folder deeper.

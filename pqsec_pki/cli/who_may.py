@@ -183,8 +183,11 @@ def _of_ros(
 
 def _note_doubts(found: WhoMay) -> None:
     """Notes about unknown topics and ungoverned domains."""
+    used = {each.row.topic for each in found.rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():
-        _printing.note(f"no rule names {printable(topic)}{'; ' if instead else ''}{instead}")
+        nobody = "" if topic in used else ", so nobody may use it"
+        more = f"; {instead}" if instead else ""
+        _printing.note(f"no rule names {printable(topic)}{nobody}{more}")
     if found.too_long:
         names = _printing.few([f"{each[:20]}..." for each in found.too_long])
         _printing.note(f"RTPS allows a topic {MAX_NAME} characters: no answer for {names}")

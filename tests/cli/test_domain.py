@@ -181,6 +181,13 @@ def test_the_requests_of_a_robot_are_answered_from_one_file(pqsec, domain, chang
     pqsec("install out/r1.bundle --dir robot --trust-first").done()
 
 
+def test_robots_without_requests_are_told_in_one_note(pqsec, domain, change):
+    change('name: "/r{1..3}", role: robot}', 'name: "/r{1..3}", role: robot, request: inbox/}')
+    told = pqsec("-k k apply --yes --no-passphrase")
+    assert told.code == 1
+    assert "note: each of /r1, /r2, /r3 has sent no request (new): not changed" in told.err
+
+
 def test_a_robot_that_asks_is_answered_with_a_bundle_that_it_installs(pqsec, robots, tmp_path):
     told = pqsec("-k k apply --yes --no-passphrase --bundles out")
     assert told.code == 1

@@ -577,11 +577,11 @@ def test_a_default_that_allows_shows_beside_what_a_pattern_lists(pqsec, put):
 @pytest.mark.parametrize(
     ("topic", "words"),
     [
-        ("rt/chater", "no rule names rt/chater; did you mean 'rt/chatter'?"),
+        ("rt/chater", "no rule names rt/chater, so nobody may use it; did you mean 'rt/chatter'?"),
         ("/chatter", "did you mean 'rt/chatter'?"),
-        ("tr/scan", "no rule names tr/scan; did you mean 'rt/scan'"),
-        ("zzz", "no rule names zzz\n"),
-        ("zz*", "no rule names zz*\n"),
+        ("tr/scan", "no rule names tr/scan, so nobody may use it; did you mean 'rt/scan'"),
+        ("zzz", "no rule names zzz, so nobody may use it\n"),
+        ("zz*", "no rule names zz*, so nobody may use it\n"),
     ],
 )
 def test_a_topic_that_no_rule_names_is_told_with_what_may_be_meant(pqsec, apart, topic, words):
@@ -967,6 +967,10 @@ def test_an_unknown_command_may_be_another(pqsec, line, instead):
     assert ("Did you mean" in said.err) is bool(instead)
 
 
+def test_how_to_complete_commands_is_told(pqsec):
+    pqsec("completion").refused(2, "No such command", "_PQSEC_COMPLETE=bash_source pqsec")
+
+
 @pytest.mark.parametrize(
     ("topic", "words"),
     [
@@ -1016,7 +1020,7 @@ def test_a_misspelled_topic_is_noted_beside_a_participant_without_rights(pqsec, 
     pqsec("-k k issue /camera --publish rt/chatter").done()
     pqsec("-k k issue /idle").done()
     done = pqsec("-k k who-may --topic rt/chater").done()
-    assert "no rule names rt/chater; did you mean 'rt/chatter'" in done.err
+    assert "no rule names rt/chater, so nobody may use it; did you mean 'rt/chatter'" in done.err
 
 
 # ROS 2 words, and who can send what to whom
