@@ -31,6 +31,7 @@ _KINDS = {
     errno.ENOENT: MissingError,
     errno.ENOTDIR: MissingError,
 }
+_CHOOSE = "choose another place, or --force to replace it"
 _NOWHERE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
 """ELOOP is for a link that points to itself."""
 
@@ -183,10 +184,14 @@ def walk(root: Path) -> Iterator[tuple[Path, list[str]]]:
         yield Path(folder), [*folders, *names]
 
 
-def refuse_existing(path: Path) -> None:
-    """ExistsError if anything is at `path`, including a broken link."""
+def refuse_existing(path: Path, *, replaceable: bool = True) -> None:
+    """ExistsError if anything is at `path`, including a broken link.
+
+    The hint names --force if it is `replaceable`.
+    """
     if os.path.lexists(path):
-        raise ExistsError(f"{path} exists", hint="choose another place, or --force to replace it")
+        hint = _CHOOSE if replaceable else "choose another place, or remove it first"
+        raise ExistsError(f"{path} exists", hint=hint)
 
 
 def write(path: Path, data: bytes, *, private: bool = False, force: bool = False) -> None:
@@ -208,9 +213,7 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
             draft.unlink(missing_ok=True)
         sync_folder(path.parent)
     except FileExistsError as error:
-        raise ExistsError(
-            f"{path} exists", hint="choose another place, or --force to replace it"
-        ) from error
+        raise ExistsError(f"{path} exists", hint=_CHOOSE) from error
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
 

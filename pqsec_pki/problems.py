@@ -17,6 +17,9 @@ class Code(StrEnum):
     OTHER = "other"
     """Only the message says what is wrong."""
 
+    APPROVAL_WAITING = "approval-waiting"
+    """A server has the request, and somebody must approve it."""
+
     # A file of an enclave, or a set of them
     FILE_MISSING = "file-missing"
     FILE_MALFORMED = "file-malformed"

@@ -9,10 +9,11 @@ from pqsec_pki._files import read, refuse_existing, write
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _formats, _help, _printing, _settings
+from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import pins_in_use
-from pqsec_pki.errors import located
+from pqsec_pki.errors import located, shown
 from pqsec_pki.est import EnrolmentToken, needs_extra
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, matching
 from pqsec_pki.server import (
     ServerSettings,
     TokenState,
@@ -95,7 +96,8 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     what the robot needs to trust the server and the CAs.
     """
     settings, now = read_settings(file), _settings.now()
-    refuse_existing(goal)
+    refuse_existing(goal, replaceable=False)
+    known = read_domain(settings.domain).members
     keystore = Keystore.open(settings.keystore, to_change=True)
     token = EnrolmentToken.new(
         server=settings.url,
@@ -108,6 +110,8 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     # The ledger first: a token that is only in the file would admit nobody.
     record_token(keystore, token, uses=uses, replaces=replaces, now=now)
     write(goal, token.to_bytes(), private=True)
+    if not any(matching(each, known) for each in name.split()):
+        _printing.note(f"{settings.domain} names no {shown(name)}: until it does, nobody can enrol")
     line = f"{token.id}  {name}  until {said(token.not_after)}  {goal}"
     value = {"id": token.id, "names": name, "uses": uses, "file": goal}
     _printing.emit({**value, "not_after": token.not_after}, [line])

@@ -51,9 +51,9 @@ def requests() -> None:
 def list_(file: Path, form: str) -> None:
     """List the requests that wait, oldest first.
 
-    Compare the SHA-256 with what the robot shows (`pqsec inspect request.csr`): anybody can send
-    a request, for any name. REPLACES is `its key` if the participant has a certificate for another
-    key, which an approval replaces.
+    Compare the SHA-256 with what the robot shows (`pqsec enrol`, or `pqsec inspect request.csr`):
+    anybody can send a request, for any name. REPLACES is `its key` if the participant has a
+    certificate for another key, which an approval replaces.
     """
     _formats.chosen(form)
     settings = read_settings(file)
@@ -132,8 +132,9 @@ def _print(
     for each in found:
         replaces = each.sha256 in replaced
         key = "its key" if replaces else ""
-        rows.append((each.name, each.sha256, each.address, said(each.received), key, word))
+        row = (each.name, each.sha256, each.address, said(each.received), key)
+        rows.append((*row, word) if word else row)
         values.append({**each.to_json(), "replaces": replaces})
-    heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "REPLACES", "")
+    heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "REPLACES", *(("STATE",) if word else ()))
     lines = _printing.table(heads, rows) if rows else ["no request waits"]
     _formats.emit(form, {"requests": values}, lines, columns=_COLUMNS, items=values)

@@ -110,8 +110,9 @@ class EstClient:
 
     def _unanswered(self, error: Exception) -> "TryAnotherError":
         return TryAnotherError(
-            f"{self.server} cannot be asked: {_words(error)}",
-            hint="what is installed stays as it is; run the command again later",
+            f"cannot reach {self.server}: {_words(error)}",
+            hint="is the server running, at this URL and port? What is installed stays as it is;"
+            " run the command again later",
         )
 
     def _asked(

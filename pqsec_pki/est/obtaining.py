@@ -12,7 +12,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, KEY, KEYS, PROOF
 from pqsec_pki.enrolment import REQUEST, Bundle, Pins, changing, install, requests
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
@@ -21,6 +21,7 @@ from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.paths import PEM_FILE, REQUESTS
 from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.tls import TlsIdentity, is_for_tls
+from pqsec_pki.problems import Code
 from pqsec_pki.tokens import Pin, is_reference, stored_pin, uri_in
 
 CLOCKS_DIFFER = timedelta(minutes=5)
@@ -47,6 +48,8 @@ class KeyTerms:
 
 class WaitingError(PqsecError):
     """Somebody must approve the request first."""
+
+    code = Code.APPROVAL_WAITING
 
 
 def installed(root: Path) -> Mapping[str, Enclave]:
@@ -86,8 +89,9 @@ def answer_to(client: EstClient, request: bytes, patience: timedelta = timedelta
         wait = answer.retry_after.total_seconds()
         if time.monotonic() + wait > until:
             raise WaitingError(
-                f"{client.server} has the request, which waits for an approval",
-                hint="run the command again later: it sends the same request",
+                f"{client.server} has the request, which waits for an approval:"
+                f" SHA-256 {CertificateRequest.from_pem(request).fingerprint}",
+                hint="run the command again later, with the same options: the request is the same",
             )
         time.sleep(wait)
 

@@ -18,6 +18,7 @@ def describe_request(der: bytes) -> Description:
         _proof(request),
         _extensions.extensions_fact("requests", request.extensions),
         _algorithms.spki_digest(request.spki),
+        Fact.of("SHA-256", request.fingerprint, key="sha256"),
     )
     return Description("certificate request", f"Request for {request.subject_name}", facts)
 

@@ -36,7 +36,7 @@ def begin_server(url: str, config: Path, keystore: Path, *, now: datetime) -> li
     names = [f"{each}.{end}" for each in _PAIRS for end in ("pem", "key")]
     goals = [config, *(config.parent / each for each in names)]
     for goal in goals:
-        refuse_existing(goal)
+        refuse_existing(goal, replaceable=False)
     for each, algorithm in _PAIRS.items():
         if algorithm:
             key = algorithm.generate()

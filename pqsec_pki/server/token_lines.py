@@ -4,6 +4,7 @@ The ledger has the SHA-256 of the secret, which is random: nobody finds the secr
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from datetime import datetime
 from typing import Self
 
@@ -137,7 +138,7 @@ def revoke_tokens(keystore: Keystore, ids: Iterable[str], *, now: datetime) -> l
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         found = [_token(ledger, each) for each in dict.fromkeys(ids)]
         transaction.record(*_ends(found, now))
-        return [TokenState.of(ledger, each) for each in found]
+        return [replace(TokenState.of(ledger, each), revoked=True) for each in found]
 
 
 def _token(ledger: Ledger, token: str) -> Entry:

@@ -123,11 +123,12 @@ class WaitingRoom:
     def named(self, text: str) -> WaitingRequest:
         """The request whose SHA-256 begins so; UsageError if there is none, or several."""
         found = [each for each in self.all() if each.sha256.startswith(text.lower())]
-        if len(text) < _SHORTEST or len(found) != 1:
-            raise UsageError(
-                f"'{shown(text)}' names {len(found)} of the requests that wait",
-                hint=f"give {_SHORTEST} digits or more of what `pqsec requests list` shows",
-            )
+        hint = f"give {_SHORTEST} digits or more of what `pqsec requests list` shows"
+        if len(text) < _SHORTEST:
+            raise UsageError(f"'{shown(text)}' is too short for a request's SHA-256", hint=hint)
+        if len(found) != 1:
+            count = "several waiting requests begin" if found else "no waiting request begins"
+            raise UsageError(f"{count} with '{shown(text)}'", hint=hint)
         return found[0]
 
     def _path(self, sha256: str) -> Path:

@@ -85,7 +85,7 @@ def test_a_broken_answer_is_told(server, body, headers):
         replies(server, body, headers=headers)
     else:
         server.reply = body
-    with pytest.raises(PqsecError, match=r"cannot be asked: ") as refused:
+    with pytest.raises(PqsecError, match="cannot reach https://") as refused:
         asking(server).get(PATH)
     assert "stays as it is" in refused.value.hint
 
@@ -101,7 +101,7 @@ def test_an_answer_that_is_too_large_is_not_read(server, endless, monkeypatch):
 def test_many_and_long_headers_are_refused(server):
     for headers in (["A: b"] * 200, ["A: " + "b" * 100_000]):
         replies(server, headers=headers)
-        with pytest.raises(PqsecError, match="cannot be asked"):
+        with pytest.raises(PqsecError, match="cannot reach"):
             asking(server).get(PATH)
 
 
@@ -168,7 +168,7 @@ def test_nobody_there_is_told():
     with socket.socket() as free:
         free.bind((HOST, 0))
         url = f"https://{HOST}:{free.getsockname()[1]}"
-        with pytest.raises(PqsecError, match="cannot be asked: connection refused") as refused:
+        with pytest.raises(PqsecError, match=r"cannot reach .*: connection refused") as refused:
             EstClient(server=url, trust=ServerTrust(pins=frozenset({"0" * 64}))).get(PATH)
     assert refused.value.exit_code == 3
 
@@ -209,7 +209,7 @@ def test_a_server_that_drips_holds_nobody_beyond_the_limit(shown, handshake, mon
     trust = ServerTrust(pins=frozenset({pin(shown)}))
     with (
         slow(shown, handshake=handshake) as url,
-        pytest.raises(PqsecError, match="cannot be asked"),
+        pytest.raises(PqsecError, match="cannot reach"),
     ):
         EstClient(server=url, trust=trust).get(PATH)
 

@@ -184,7 +184,9 @@ def test_an_approval_is_waited_for_or_asked_for_again(server, terms, robot, monk
     server.waiting = 4
     with pytest.raises(WaitingError, match="waits for an approval") as waits:
         enrol(client_of(server), ROBOT, robot, terms, clock=clock())
-    assert waits.value.exit_code == 3
+    assert (waits.value.exit_code, waits.value.code) == (3, "approval-waiting")
+    sent = CertificateRequest.from_pem(next(robot.rglob("request.csr")).read_bytes())
+    assert str(waits.value).endswith(f"SHA-256 {sent.fingerprint}")
     pauses = []
     monkeypatch.setattr(obtaining.time, "sleep", pauses.append)
     asked, minute = waiting_request(robot), timedelta(minutes=1)

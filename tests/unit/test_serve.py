@@ -120,7 +120,8 @@ def test_nobody_else_gets_a_certificate(server, tmp_path, what):
         case "an unknown token":
             token = replace(token, id="0" * 16)
         case "a revoked token":
-            server.cli("enrolment-token", "revoke", token.id, "--config", "serve.yaml")
+            told = server.cli("enrolment-token", "revoke", token.id, "--config", "serve.yaml")
+            assert told.stdout.endswith("  revoked\n")
         case "not a request":
             body = body[:-1]
         case "another's proof":
@@ -132,6 +133,13 @@ def test_nobody_else_gets_a_certificate(server, tmp_path, what):
     assert reply.detail.startswith(detail) or detail in reply.detail
     assert ("www-authenticate" in reply.headers) == (status == 401)
     assert server.keystore.head == before
+
+
+def test_a_token_for_nobody_is_told_and_no_option_is_named_that_there_is_not(server):
+    create = ("enrolment-token", "create", "/fleet/nobody", "--config", "serve.yaml", "-o", "n")
+    assert "domain.yaml names no /fleet/nobody" in server.cli(*create).stderr
+    refused = server.cli(*create, check=False)
+    assert (refused.returncode, "--force" in refused.stderr) == (3, False)
 
 
 def test_a_revoked_certificate_gets_nothing(server, tmp_path):

@@ -99,9 +99,11 @@ def test_who_asks_no_more_is_forgotten_after_a_month(asked, requests):
 def test_eight_digits_of_a_digest_name_nothing(asked, requests):
     asked.ask(requests[0], HOME, "/r")
     whole = requests[0].fingerprint
-    with pytest.raises(UsageError, match="names 1 of the requests that wait"):
+    with pytest.raises(UsageError, match="is too short"):
         asked.room.named(whole[:15])
     assert asked.room.named(whole[:16].upper()).sha256 == whole
+    with pytest.raises(UsageError, match="no waiting request begins with"):
+        asked.room.named("0" * 16)
 
 
 def test_a_file_with_another_request_than_its_name_says_is_refused(asked, requests):
