@@ -32,6 +32,13 @@ def package_of(entry: EntryPoint) -> str:
     return (_named(entry.dist) if entry.dist else "") or entry.value
 
 
+def extensions() -> Iterator[tuple[str, str]]:
+    """The packages with entry points for pqsec: name, and the folder where each is installed."""
+    for package in filter(_is_readable, distributions()):
+        if any(each.group.startswith("pqsec.") for each in package.entry_points):
+            yield package.name, str(package.locate_file(""))
+
+
 def the_only(entries: list[EntryPoint], what: str) -> EntryPoint:
     """The one entry point; ForeignPackageError, with `what`, if several packages have one."""
     if len(entries) > 1:

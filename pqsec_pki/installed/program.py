@@ -9,6 +9,7 @@ from shlex import quote
 import pqsec_pki
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
+from pqsec_pki._packages import extensions
 from pqsec_pki.plugin import home
 
 DEBIAN = Path("/usr/lib/pqsec")
@@ -48,7 +49,7 @@ class Place:
 
 
 def programs(environment: Mapping[str, str]) -> Iterator[Place]:
-    """The program that runs, the commands on the search path, manual pages, and completion."""
+    """The program, commands on the search path, manual pages, completion, and extensions."""
     yield Place("program", Path(pqsec_pki.__file__).parent, _uninstalled_by(Path(sys.prefix)))
     for folder in dict.fromkeys(environment.get("PATH", "").split(os.pathsep)):
         command = Path(folder, "pqsec")
@@ -60,6 +61,9 @@ def programs(environment: Mapping[str, str]) -> Iterator[Place]:
         if next(manuals.glob("pqsec*.1*"), None):
             yield Place("manual pages", manuals / "pqsec*.1*", _WITH_IT)
     yield from _completion(environment, shared)
+    for name, folder in extensions():
+        removal = f"{quote(sys.executable)} -m pip uninstall {quote(name)}"
+        yield Place(f"extension, {name}", Path(folder), removal)
 
 
 def _uninstalled_by(prefix: Path) -> str:

@@ -120,3 +120,18 @@ def test_nothing_is_removed_without_list_either(pqsec, home):
     before = snapshot(Path(home["HOME"]))
     pqsec("uninstall", **home).refused(2, "does not remove itself", hint="--list")
     assert snapshot(Path(home["HOME"])) == before
+
+
+def test_packages_that_extend_pqsec_are_listed(pqsec, home, tmp_path, monkeypatch):
+    for name, group in (("lab", "pqsec.lint_rules"), ("other", "console_scripts")):
+        about = tmp_path / f"site/{name}-1.0.dist-info"
+        about.mkdir(parents=True)
+        (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+        (about / "entry_points.txt").write_text(f"[{group}]\n{name} = lab_module\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "site"))
+    found = places(pqsec("uninstall --list --json", **home))
+    [lab] = [each for (_, path), each in found.items() if path == str(tmp_path / "site")]
+    assert (lab["what"], lab["removed_by"]) == (
+        "extension, lab",
+        f"{sys.executable} -m pip uninstall lab",
+    )
