@@ -24,7 +24,8 @@ def refuse_mixed(url: str | None) -> None:
     refused = _ROBOT_ONLY if url is None else _KEYSTORE_ONLY
     if found := [option for name, option in given.items() if name in refused]:
         words = "needs --from" if url is None else "is for a keystore, and excludes --from"
-        raise UsageError(f"{found[0]} {words}")
+        hint = "--from URL names the server: DIR/server.json has its URL" if url is None else None
+        raise UsageError(f"{found[0]} {words}", hint=hint)
 
 
 def renew_from(  # noqa: PLR0913 -- what the command line says

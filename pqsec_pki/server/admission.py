@@ -313,7 +313,9 @@ class Admission:
             raise NotAdmittedError(403, f"this is not the current certificate of {held.name}")
         if not (self.any_time or held.state.calls_for_renewal):
             raise NotAdmittedError(
-                403, f"its certificate is not due: it ends {said(held.not_after)}"
+                403,
+                f"its certificate is not due: it ends {said(held.not_after)}; the server renews"
+                " earlier with `renew: any-time` in serve.yaml",
             )
 
 

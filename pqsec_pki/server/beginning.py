@@ -22,6 +22,8 @@ _VALIDITY = timedelta(days=3650)
 """Robots know the server by its key, whose certificate is therefore not exchanged often."""
 _PORT = 443
 _NAME = "pqsec serve"
+_LOOPBACK = {"127.0.0.1", "localhost"}
+"""Hosts of a server that only this machine reaches."""
 
 
 def begin_server(url: str, config: Path, keystore: Path, *, now: datetime) -> list[Path]:
@@ -43,8 +45,9 @@ def begin_server(url: str, config: Path, keystore: Path, *, now: datetime) -> li
             made = Authority.self_signed(_NAME, key, host=host, now=now, validity=_VALIDITY)
             write(config.parent / f"{each}.key", private_key_pem(key), private=True)
             write(config.parent / f"{each}.pem", made.certificate.pem)
+    address = "127.0.0.1" if host in _LOOPBACK else "0.0.0.0"  # noqa: S104 -- a server's purpose
     template = Template(asset("templates", "serve.yaml").read_text("utf-8"))
     place = os.path.relpath(keystore, config.parent)
-    text = template.substitute(url=checked_url(url), port=port, keystore=place)
+    text = template.substitute(url=checked_url(url), address=address, port=port, keystore=place)
     write(config, text.encode())
     return goals

@@ -190,7 +190,10 @@ def bound(address: tuple[str, int]) -> socket.socket:
         listener.listen(_BACKLOG)
     except OSError as error:
         listener.close()
-        raise FileError(f"cannot listen at {host}:{port}: {error.strerror}") from error
+        raise FileError(
+            f"cannot listen at {host}:{port}: {error.strerror}",
+            hint="change `listen`, or `status`, in serve.yaml, or end what listens there",
+        ) from error
     listener.settimeout(0)
     return listener
 

@@ -133,6 +133,7 @@ def test_what_the_timer_gets_is_an_exit_code(pqsec, enrolled, server):
         server.reply = refuse
         pqsec(url).refused(code, f"{ROBOT}: ", "says: refused: no")
     pqsec("renew --from https://127.0.0.1:9 --dir r").refused(2, "say how to trust https")
+    pqsec("renew --dir r").refused(2, "--dir needs --from", hint="--from URL names the server")
     pqsec(f"renew --from https://127.0.0.1:9 --server-pin {'0' * 64} --dir r").refused(
         3, "connection refused", hint="stays as it is"
     )
