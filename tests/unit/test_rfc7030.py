@@ -152,11 +152,11 @@ def linked(server, context):
 
 
 @pytest.mark.parametrize("kind", ["tls-pq", "tls-classical"])
-@pytest.mark.parametrize("host", ["est.example", "192.0.2.7"])
+@pytest.mark.parametrize("host", ["est.example", "192.0.2.7", "127.0.0.1"])
 def test_the_first_certificates_are_of_a_server_and_not_of_a_ca(tmp_path, kind, host):
     now = datetime.now(UTC)
     begin_server(f"https://{host}:8443", tmp_path / "serve.yaml", tmp_path / "k", now=now)
-    reached = "127.0.0.1" if host in {"127.0.0.1", "localhost"} else "0.0.0.0"  # noqa: S104
+    reached = "127.0.0.1" if host == "127.0.0.1" else "0.0.0.0"  # noqa: S104
     assert f"listen: {reached}:8443\n" in (tmp_path / "serve.yaml").read_text()
     chain, key = ((tmp_path / f"{kind}.{end}").read_bytes() for end in ("pem", "key"))
     found = Certificate.from_pem(chain)
