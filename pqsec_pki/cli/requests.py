@@ -57,7 +57,7 @@ def list_(file: Path, form: str) -> None:
     """
     _formats.chosen(form)
     settings = read_settings(file)
-    found = settings.room.all()
+    found = settings.pending.all()
     replaced = replacing(Keystore.open(settings.keystore), found, now=_settings.now())
     _print(found, replaced, "", form)
 

@@ -5,8 +5,8 @@ a first one). The front answers HTTP: `listening.py`, `channel.py`, `front.py`, 
 `routes.py`, `limiting.py`, `addresses.py`, `asking.py`, `sending.py` and `metrics.py`. The signer
 (`signer.py`) has the CA keys: it decides who is admitted (`admission.py`, `requester.py`,
 `token_lines.py`; `waiting.py` and `deciding.py` for requests that wait; `factories.py` for devices
-with a certificate of their factory) and answers from the keystore (`desk.py`); `list_keeping.py`
-keeps a revocation list in force.
+with a certificate of their factory) and answers from the keystore (`call_handling.py`);
+`list_keeping.py` keeps a revocation list in force.
 Between them are calls (`call.py`).
 """
 

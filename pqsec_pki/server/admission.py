@@ -41,7 +41,7 @@ from pqsec_pki.server.token_lines import (
     by_token,
     presented,
 )
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.waiting import PendingRequests
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
@@ -65,7 +65,7 @@ class Admission:
     now: datetime
     any_time: bool
     """Whether certificates are renewed that are not due."""
-    waiting: WaitingRoom
+    waiting: PendingRequests
     """Where requests wait until somebody decides."""
     anybody: bool = False
     """Whether one without any credential waits; if not, it is refused."""

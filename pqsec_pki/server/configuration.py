@@ -36,7 +36,7 @@ from pqsec_pki.documents.parts_yaml import (
 from pqsec_pki.domain import FACTORY
 from pqsec_pki.errors import located, shown
 from pqsec_pki.est import checked_url
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.waiting import PendingRequests
 
 _ADDRESS = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9a-zA-Z.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
@@ -122,9 +122,9 @@ class ServerSettings:
         return self.state / "signer.sock"
 
     @property
-    def room(self) -> WaitingRoom:
+    def pending(self) -> PendingRequests:
         """Where requests wait."""
-        return WaitingRoom(self.state / "waiting", self.limits.waiting)
+        return PendingRequests(self.state / "waiting", self.limits.waiting)
 
 
 def read_settings(path: Path) -> ServerSettings:

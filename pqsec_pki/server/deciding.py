@@ -16,7 +16,7 @@ from pqsec_pki.domain import deliver_request, read_domain
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Entry, Keystore, Ledger, change, participant_states
 from pqsec_pki.server.configuration import ServerSettings
-from pqsec_pki.server.waiting import WaitingRequest, WaitingRoom
+from pqsec_pki.server.waiting import PendingRequests, WaitingRequest
 
 APPROVAL, REFUSAL = "request-approval", "request-refusal"
 """Kinds of lines; they have the SHA-256 of the request."""
@@ -48,21 +48,22 @@ def decide(
     """Enter the decision on these requests, all or none, which then wait no more.
 
     If one is approved, others for its name wait no more either. UsageError for two of one name.
-    Other errors as of `WaitingRoom.named`, and, where approvals are demanded, of `deliver_request`.
+    Other errors as of `PendingRequests.named`, and of `deliver_request` where approvals are
+    demanded.
     """
-    room = settings.room
-    chosen = {each.sha256: each for each in map(room.named, ids)}.values()
+    pending = settings.pending
+    chosen = {each.sha256: each for each in map(pending.named, ids)}.values()
     names = Counter(each.name for each in chosen)
     if kind == APPROVAL and (several := [name for name, count in names.items() if count > 1]):
         raise UsageError(f"approve one request for {', '.join(several)}: the last would replace it")
     with change(keystore.root) as transaction:
         if kind == APPROVAL and demanded(keystore.approvals):
-            _deliver(chosen, room, settings.domain)
+            _deliver(chosen, pending, settings.domain)
         transaction.record(*(_entry(each, kind, now) for each in chosen))
     done = {each.sha256 for each in chosen}
-    for each in room.all():
+    for each in pending.all():
         if each.sha256 in done or (kind == APPROVAL and each.name in names):
-            room.remove(each.sha256)
+            pending.remove(each.sha256)
     return list(chosen)
 
 
@@ -79,12 +80,12 @@ def replacing(
     )
 
 
-def _deliver(chosen: Iterable[WaitingRequest], room: WaitingRoom, domain: Path) -> None:
+def _deliver(chosen: Iterable[WaitingRequest], pending: PendingRequests, domain: Path) -> None:
     members = read_domain(domain).members
     if missing := [each.name for each in chosen if each.name not in members]:
         raise UsageError(f"{domain} does not name {', '.join(missing)} any more")
     for each in chosen:
-        deliver_request(members[each.name], room.request(each))
+        deliver_request(members[each.name], pending.request(each))
 
 
 def _entry(waits: WaitingRequest, kind: str, now: datetime) -> Entry:

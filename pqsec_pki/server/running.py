@@ -21,8 +21,8 @@ from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
+from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import ServerSettings, read_settings
-from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.factories import read_factories
 from pqsec_pki.server.signer import SignerProcess, give_to, listening, users_of
 
@@ -52,20 +52,20 @@ def run_signer(
     keystore = Keystore.open(settings.keystore, to_change=True)
     authorities, ledger = unlock(keystore), SeenLedger()
 
-    def load(seen: dict[Path, FileVersion]) -> Desk:
+    def load(seen: dict[Path, FileVersion]) -> CallHandler:
         found = read_settings(settings.path)
         opened = Keystore.open(settings.keystore, to_change=True)
         cas = opened.anchors.identity_cas
         with noted(seen):
             desired, factories = read_domain(found.domain), read_factories(found.factories, cas)
-        return Desk(
+        return CallHandler(
             keystore=opened,
             authorities=authorities,
             desired=desired,
             clock=clock,
             any_time=found.renew_any_time,
             renew_expired=found.renew_expired,
-            waiting=found.room,
+            waiting=found.pending,
             anybody=found.approval,
             retry=found.retry,
             factories=factories,

@@ -21,7 +21,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import FileVersion, disk_errors, file_version
 from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
 from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
-from pqsec_pki.server.desk import Desk
+from pqsec_pki.server.call_handling import CallHandler
 
 MOST = 64
 """Calls that are answered together: the last one waits for all of them."""
@@ -39,14 +39,14 @@ class SignerProcess:
     """Answers calls until it is stopped."""
 
     listener: socket.socket
-    load: Callable[[dict[Path, FileVersion]], Desk]
+    load: Callable[[dict[Path, FileVersion]], CallHandler]
     """Reads the configuration, and enters what it read; raises if there is a mistake."""
     users: frozenset[int]
     """Who may connect."""
     log: Callable[[str], None]
     pass_on: Callable[[], None]
     """Tells the front to read the configuration again too."""
-    desk: Desk = field(init=False)
+    handler: CallHandler = field(init=False)
     trouble: str = ""
     """Why files that were changed are not in force; empty if they are."""
     stopping: bool = False
@@ -57,7 +57,7 @@ class SignerProcess:
     """What the domain and its factories were read from last, or could not be read from."""
 
     def __post_init__(self) -> None:
-        self.desk = self.load(self._read)
+        self.handler = self.load(self._read)
 
     def run(self) -> None:
         """Answer calls until SIGTERM; SIGHUP reads the configuration again."""
@@ -94,7 +94,7 @@ class SignerProcess:
             return
         self._list_after = time.monotonic() + _LIST_POLL
         try:
-            if self.desk.keep_list():
+            if self.handler.keep_list():
                 self.log("a revocation list was issued")
         except PqsecError as error:
             self.log(f"no revocation list could be issued: {error}")
@@ -103,7 +103,7 @@ class SignerProcess:
         """Use what is in the files now; if that has a mistake, what was in them stays in force."""
         seen: dict[Path, FileVersion] = {}
         try:
-            self.desk = self.load(seen)
+            self.handler = self.load(seen)
             self.trouble = ""
             self.log(f"{what} was read again")
         except PqsecError as error:
@@ -136,7 +136,7 @@ class SignerProcess:
 
     def _answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         try:
-            answers = self.desk.answers(calls)
+            answers = self.handler.answers(calls)
         except Exception as error:  # noqa: BLE001 -- one call must not end the server
             known = isinstance(error, PqsecError)
             note = str(error) if known else traceback.format_exc()

@@ -76,7 +76,7 @@ class WaitingRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class WaitingRoom:
+class PendingRequests:
     """The folder with the requests that wait, at most `most`."""
 
     folder: Path
@@ -135,7 +135,7 @@ class WaitingRoom:
         return self.folder / f"{sha256}.request"
 
     def _make_room(self, name: str, address: str, now: datetime) -> None:
-        """Drop what is old, and one more if the room is full, or has enough for that name."""
+        """Drop what is old, and one more if the folder is full, or has enough for that name."""
         there = []
         for each in self.all():
             if each.asked < now - LIFETIME:

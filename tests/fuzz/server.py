@@ -44,13 +44,13 @@ from pqsec_pki.est import (
 from pqsec_pki.est.client import ASKING_FAILS
 from pqsec_pki.est.linking import channel_binding
 from pqsec_pki.server.call import CallKind, SignerCall, packed, unpacked
+from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.channel import Channels
 from pqsec_pki.server.configuration import ServerLimits
-from pqsec_pki.server.desk import Desk
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.token_lines import record_token
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.waiting import PendingRequests
 from tests.fuzz import mutation
 from tests.some_keys import some_key
 from tests.unit.keystores import DAY, NOW
@@ -80,14 +80,14 @@ class World:
     """A server, and a robot that has enrolled there with a token that is used up."""
 
     def __init__(self, folder):
-        self.desk = _desk(folder)
-        profile = self.desk.keystore.profile
+        self.handler = _handler(folder)
+        profile = self.handler.keystore.profile
         made = request(NAME, profile, folder / "robot")
         self.request, key = made.request, (made.path.parent / "key.pem").read_bytes()
         self.next = request(NAME, profile, folder / "next").request
-        self.token = _token(self.desk.keystore)
+        self.token = _token(self.handler.keystore)
         self.secret = {"token": self.token.id, "secret": self.token.secret}
-        [answer] = self.desk.answers([self.asking(CallKind.REQUEST, **self.secret)])
+        [answer] = self.handler.answers([self.asking(CallKind.REQUEST, **self.secret)])
         assert answer.status == 200, answer
         chain = Bundle.from_bytes(answer.body).enclaves[NAME]["cert.pem"]
         self.shown = {"certificate": Certificate.from_pem(chain).der}
@@ -104,20 +104,20 @@ class World:
 
     def answer(self, call):
         """What the signer answers; AssertionError if it fails, or issues something."""
-        [answer] = self.desk.answers([call])
+        [answer] = self.handler.answers([call])
         assert answer.status != FAILED, answer
         if call.kind.issues and answer.status == 200:
             assert answer.note.endswith(", again"), answer
         return answer
 
 
-def _desk(folder):
+def _handler(folder):
     domain = folder / "domain.yaml"
     domain.write_text(DOMAIN.format(profile=PROFILE))
     desired = read_domain(domain)
     keystore = create_keystore(desired, folder / "k", passphrase=None, now=NOW)
-    room = WaitingRoom(folder / "waiting", 10)
-    return Desk(keystore, keystore.unlock(None), desired, lambda: NOW, room, anybody=True)
+    pending = PendingRequests(folder / "waiting", 10)
+    return CallHandler(keystore, keystore.unlock(None), desired, lambda: NOW, pending, anybody=True)
 
 
 def _token(keystore):

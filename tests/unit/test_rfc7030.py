@@ -27,8 +27,8 @@ from pqsec_pki.est import (
 )
 from pqsec_pki.server import begin_server
 from pqsec_pki.server.call import CallKind, SignerCall
-from pqsec_pki.server.desk import Desk
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.call_handling import CallHandler
+from pqsec_pki.server.waiting import PendingRequests
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.test_overlap import begin
@@ -219,9 +219,9 @@ def test_the_ca_certificates_are_for_everybody(server):
 def test_the_next_ca_is_given_beside_the_current_one(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     begin(keystore)
-    room = WaitingRoom(tmp_path / "waiting", 1)
-    desk = Desk(keystore, keystore.unlock(None), None, lambda: NOW + DAY, room)
-    [answer] = desk.answers([SignerCall(kind=CallKind.CA_CERTIFICATES)])
+    pending = PendingRequests(tmp_path / "waiting", 1)
+    handler = CallHandler(keystore, keystore.unlock(None), None, lambda: NOW + DAY, pending)
+    [answer] = handler.answers([SignerCall(kind=CallKind.CA_CERTIFICATES)])
     found = pkcs7.load_der_pkcs7_certificates(base64.b64decode(answer.body))
     assert len({each.public_bytes(Encoding.DER) for each in found}) == 2
 

@@ -11,8 +11,8 @@ from pqsec_pki.enrolment import Bundle, install, pins_in_use, request
 from pqsec_pki.est import KeyTerms, KnownServer, ServerTrust, renew
 from pqsec_pki.lifecycle import revoke
 from pqsec_pki.server.call import CallKind, SignerCall
-from pqsec_pki.server.desk import Desk
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.call_handling import CallHandler
+from pqsec_pki.server.waiting import PendingRequests
 from tests.unit.domains import DAY, NOW, Scene
 from tests.unit.serving import HOST, Robot, Server
 
@@ -26,7 +26,7 @@ participants:
 
 
 class Office(Scene):
-    """A keystore with two robots, and the desk of its server."""
+    """A keystore with two robots, and the handler of its server."""
 
     def __init__(self, folder):
         super().__init__(folder, FILE)
@@ -46,16 +46,16 @@ class Office(Scene):
     def ask(self, kind, shown, body=b"", *, days=95, window=30 * DAY):
         """The answer so many days after the certificates began, of 90."""
         keystore = self.keystore
-        room = WaitingRoom(self.file.parent / "waiting", 9)
-        desk = Desk(
+        pending = PendingRequests(self.file.parent / "waiting", 9)
+        handler = CallHandler(
             keystore,
             keystore.unlock(None),
             read_domain(self.file),
             lambda: NOW + days * DAY,
-            room,
+            pending,
             renew_expired=window,
         )
-        [answer] = desk.answers([SignerCall(kind=kind, certificate=shown.der, body=body)])
+        [answer] = handler.answers([SignerCall(kind=kind, certificate=shown.der, body=body)])
         return answer.status, answer.detail
 
 

@@ -1,4 +1,4 @@
-"""The room of requests that wait: whose are given up when it is full, and what names one."""
+"""The requests that wait: whose are given up when it is full, and what names one."""
 
 from datetime import timedelta
 
@@ -7,7 +7,7 @@ import pytest
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.enrolment import request
 from pqsec_pki.errors import MalformedError, UsageError
-from pqsec_pki.server.waiting import LIFETIME, WaitingRoom
+from pqsec_pki.server.waiting import LIFETIME, PendingRequests
 from tests.unit.keystores import NOW
 
 HOME, ENEMY = "192.0.2.1", "192.0.2.66"
@@ -23,18 +23,18 @@ def requests(tmp_path_factory):
 
 
 class Asked:
-    """A room, and a clock that goes on with each request."""
+    """Waiting requests, and a clock that goes on with each request."""
 
     def __init__(self, folder, most):
-        self.room, self.now = WaitingRoom(folder, most), NOW
+        self.pending, self.now = PendingRequests(folder, most), NOW
 
     def ask(self, made, address, name):
         self.now += SECOND
-        self.room.add(made, name, address, self.now)
+        self.pending.add(made, name, address, self.now)
 
     @property
     def there(self):
-        return [each.sha256 for each in self.room.all()]
+        return [each.sha256 for each in self.pending.all()]
 
 
 @pytest.fixture
@@ -74,7 +74,7 @@ def test_of_clients_with_one_request_each_who_asks_again_stays(asked, requests):
         asked.ask(each, f"192.0.2.{number + 10}", "/r")
         asked.ask(own, HOME, "/r")
     assert asked.there == prints([own, *others[-2:]])
-    before = asked.room.all()[0]
+    before = asked.pending.all()[0]
     assert (before.received, before.asked) == (NOW + 2 * SECOND, asked.now)
 
 
@@ -100,21 +100,21 @@ def test_eight_digits_of_a_digest_name_nothing(asked, requests):
     asked.ask(requests[0], HOME, "/r")
     whole = requests[0].fingerprint
     with pytest.raises(UsageError, match="is too short"):
-        asked.room.named(whole[:15])
-    assert asked.room.named(whole[:16].upper()).sha256 == whole
+        asked.pending.named(whole[:15])
+    assert asked.pending.named(whole[:16].upper()).sha256 == whole
     with pytest.raises(UsageError, match="no waiting request begins with"):
-        asked.room.named("0" * 16)
+        asked.pending.named("0" * 16)
 
 
 def test_a_file_with_another_request_than_its_name_says_is_refused(asked, requests):
     first, second = requests[:2]
     asked.ask(first, HOME, "/r")
-    [waits] = asked.room.all()
-    assert asked.room.request(waits).der == first.der
-    path = asked.room.folder / f"{waits.sha256}.request"
+    [waits] = asked.pending.all()
+    assert asked.pending.request(waits).der == first.der
+    path = asked.pending.folder / f"{waits.sha256}.request"
     path.write_bytes(waits.line + second.der)
     with pytest.raises(MalformedError, match="another request than its name says"):
-        asked.room.request(waits)
+        asked.pending.request(waits)
     path.write_bytes(b"{}\n")
     with pytest.raises(MalformedError, match="not a request that waits"):
-        asked.room.all()
+        asked.pending.all()

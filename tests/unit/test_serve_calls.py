@@ -12,9 +12,9 @@ from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.lifecycle import ParticipantSpec, revoke
 from pqsec_pki.server import record_token
 from pqsec_pki.server.call import CallKind, SignerCall
-from pqsec_pki.server.desk import Desk
+from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.requester import Admitted
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.waiting import PendingRequests
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.serving import DOMAIN
 
@@ -23,8 +23,8 @@ def test_a_batch_with_a_replacement_replaces_nobody_else(tmp_path):
     """A name with files and without a token that replaces it lost its key beside another's."""
     keystore = made(tmp_path / "k", "classical")
     before = {name: keystore.participant(name).certificate for name in ("/talker", "/listener")}
-    room = WaitingRoom(tmp_path / "waiting", 1)
-    desk = Desk(keystore, keystore.unlock(None), None, lambda: NOW + DAY, room)
+    pending = PendingRequests(tmp_path / "waiting", 1)
+    handler = CallHandler(keystore, keystore.unlock(None), None, lambda: NOW + DAY, pending)
     batch = [
         Admitted(
             name=name,
@@ -36,7 +36,7 @@ def test_a_batch_with_a_replacement_replaces_nobody_else(tmp_path):
         )
         for name in before
     ]
-    failures = desk._issue(batch)
+    failures = handler._issue(batch)
     assert list(failures) == ["/listener"]
     assert "already" in str(failures["/listener"])
     assert keystore.participant("/talker").certificate != before["/talker"]
@@ -55,7 +55,7 @@ def test_a_call_with_what_no_client_can_send_is_refused(key, text):
 
 
 class Served:
-    """A keystore with a token for two robots, and the desk that answers them."""
+    """A keystore with a token for two robots, and the handler that answers them."""
 
     def __init__(self, folder):
         self.folder, domain = folder, folder / "domain.yaml"
@@ -72,18 +72,19 @@ class Served:
             not_after=NOW + DAY,
         )
         record_token(keystore, self.token, uses=2, replaces=False, now=NOW)
-        self.desk = self.started()
+        self.handler = self.started()
 
     def started(self):
-        room = WaitingRoom(self.folder / "waiting", 1)
+        pending = PendingRequests(self.folder / "waiting", 1)
         cas = self.keystore.unlock(None)
-        return Desk(self.keystore, cas, self.desired, lambda: NOW, room, list_validity=DAY)
+        clock = lambda: NOW  # noqa: E731 -- short
+        return CallHandler(self.keystore, cas, self.desired, clock, pending, list_validity=DAY)
 
     def ask(self, name):
         asked = request(name, self.keystore.profile, self.folder / "robots", force=True).request
         token, secret = self.token.id, self.token.secret
         call = SignerCall(kind=CallKind.REQUEST, token=token, secret=secret, body=asked.der)
-        [answer] = self.desk.answers([call])
+        [answer] = self.handler.answers([call])
         return answer
 
     def rolled_back(self, data):
@@ -97,15 +98,15 @@ def test_with_a_ledger_that_was_rolled_back_nothing_is_issued(tmp_path):
     served = Served(tmp_path)
     old = served.ledger.read_bytes()
     assert served.ask("/fleet/r1").status == 200
-    revoke(served.keystore, served.desk.authorities, ["/fleet/r1"], now=NOW)
+    revoke(served.keystore, served.handler.authorities, ["/fleet/r1"], now=NOW)
     whole = served.rolled_back(old)
     for _ in range(2):
         answer = served.ask("/fleet/r2")
         assert (answer.status, answer.retry_after) == (503, 60)
         assert "the ledger lacks" in answer.note
         with pytest.raises(VerificationError, match="the ledger lacks"):
-            served.desk.keep_list()
-        served.desk = served.started()  # it lacks what the CAs signed a head of
+            served.handler.keep_list()
+        served.handler = served.started()  # it lacks what the CAs signed a head of
     served.rolled_back(whole)
     assert served.ask("/fleet/r2").status == 200
 

@@ -44,21 +44,21 @@ from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
-from pqsec_pki.server.waiting import WaitingRoom
+from pqsec_pki.server.waiting import PendingRequests
 from pqsec_pki.transparency import MerkleTree
 
 _NOT_DONE = "the server could not do it: its log says why"
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
-class Desk:
+class CallHandler:
     """Answers calls with the keystore, its CAs, and the domain file."""
 
     keystore: Keystore
     authorities: Authorities
     desired: Desired
     clock: Callable[[], datetime]
-    waiting: WaitingRoom
+    waiting: PendingRequests
     anybody: bool = False
     """Whether requests without a credential wait there."""
     any_time: bool = False
