@@ -26,6 +26,7 @@ from pqsec_pki.enrolment import (
     name_asked_for,
     ordered,
     pins_of,
+    same_answers,
     sign,
 )
 from pqsec_pki.errors import UsageError, VerificationError, located
@@ -232,7 +233,9 @@ def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             compromised_keys=compromised_keys,
         )
     with _printing.with_hint("the certificates are issued: run it again with another -o"):
-        if not (by and is_there(output) and _files.read(output, limit=MAX_ARCHIVE) == answer):
+        if not (
+            by and is_there(output) and same_answers(_files.read(output, limit=MAX_ARCHIVE), answer)
+        ):
             _files.write(output, answer, force=force)
     names = [spec.name for spec in asked.specs]
     value = {"answer": output, "names": names, "request_sha256": asked.sha256}

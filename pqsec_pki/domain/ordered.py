@@ -89,8 +89,8 @@ def perform_order(
 ) -> bytes:
     """Issue what was ordered, or do nothing; returns the answer, a bundle for each request.
 
-    An order is performed once: for the same order again, the answer is the same. Errors as of
-    `ordered_issue` and `issue`.
+    An order is performed once: for the same order again, the answer has the same files, unless
+    newer documents or lists are published. Errors as of `ordered_issue` and `issue`.
     """
     with keystore.hold():
         found = ordered_issue(asked, keystore, now=now, anchors=anchors)

@@ -21,7 +21,15 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
     from pqsec_pki.enrolment.installing import Installed, install, removed_alone
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
-    from pqsec_pki.enrolment.offline import Accepted, SignRequest, accept, answered, ordered, sign
+    from pqsec_pki.enrolment.offline import (
+        Accepted,
+        SignRequest,
+        accept,
+        answered,
+        ordered,
+        same_answers,
+        sign,
+    )
     from pqsec_pki.enrolment.outbox import refresh
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
     from pqsec_pki.enrolment.receipt_import import (
@@ -90,6 +98,7 @@ __all__ = [
     "request",
     "requests",
     "rollback",
+    "same_answers",
     "save",
     "seal",
     "sign",

@@ -217,6 +217,21 @@ def answered(asked: SignRequest, keystore: Keystore, *, now: datetime) -> bytes:
     return Archive(ANSWER_KIND, about, files).pack()
 
 
+def same_answers(one: bytes, other: bytes) -> bool:
+    """Whether both answer the same request with the same files, whenever they were made."""
+    try:
+        return _content(one) == _content(other)
+    except PqsecError:
+        return False
+
+
+def _content(answer: bytes) -> tuple[str, dict[str, str]]:
+    """The request, and for each file its bundle's SHA-256."""
+    archive = Archive.unpack(answer, ANSWER_KIND)
+    files = {name: Bundle.from_bytes(data).sha256 for name, data in archive.files.items()}
+    return archive.text("request_sha256"), files
+
+
 @dataclass(frozen=True, slots=True)
 class Accepted:
     """A bundle from an answer, for one participant."""

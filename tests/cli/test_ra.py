@@ -1,7 +1,10 @@
 """pqsec ra, and orders in pqsec sign-request, as users run them."""
 
+from datetime import timedelta
+
 import pytest
 
+from pqsec_pki.cli import _settings
 from tests.unit.approving import make_key
 
 ADD = "-k k ra add line1 --key line1.pub.pem --allow-name /fleet/* --role robot --max-count 2"
@@ -43,9 +46,7 @@ def test_a_registration_authority_enrols_a_robot(pqsec, lab):
         "request": shown["participants"][0]["request"],
     }
     pqsec(SIGN).done()
-    answer = (lab / "answer").read_bytes()
     pqsec(SIGN).done()
-    assert (lab / "answer").read_bytes() == answer
     (lab / "other").write_text("x")
     other = SIGN.replace("-o answer", "-o other")
     pqsec(other).refused(3, "other exists", hint="another -o")
@@ -66,6 +67,18 @@ def test_a_registration_authority_enrols_a_robot(pqsec, lab):
     assert "had ended before" in pqsec("-k k ra revoke line1").done().out
     another = ADD.replace("--max-count 2", "--max-count 3")
     pqsec(f"{another} --force").done()
+
+
+def test_an_order_performed_again_later_keeps_its_answer(pqsec, lab, monkeypatch):
+    """Its bundles are made anew, with another time, and have the same files."""
+    pqsec(ADD).done()
+    pqsec(ORDER).done()
+    pqsec(SIGN).done()
+    answer = (lab / "answer").read_bytes()
+    later = _settings.now() + timedelta(seconds=2)
+    monkeypatch.setattr(_settings, "now", lambda: later)
+    pqsec(SIGN).done()
+    assert (lab / "answer").read_bytes() == answer
 
 
 def test_what_nobody_ordered_needs_a_human(pqsec, lab):
