@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import click
 
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.cli._times import day
+from pqsec_pki.cli._times import end
 from pqsec_pki.errors import PqsecError, UsageError
 
 if TYPE_CHECKING:
@@ -103,4 +103,4 @@ def _words(each: "Obtained") -> str:
 
 
 def _end(each: "Obtained") -> str:
-    return day(each.certificate.not_after)
+    return end(each.certificate.not_after)

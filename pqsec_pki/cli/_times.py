@@ -5,10 +5,14 @@ the lines of the terminal, as of `ls -l` or `git log`: who adds `| less` sees th
 """
 
 import re
-from datetime import datetime
+from datetime import datetime, timedelta
+
+from pqsec_pki._times import said
+from pqsec_pki.cli import _settings
 
 _SAID = re.compile(r"\b([0-9]{4}-[0-9]{2}-[0-9]{2} [0-9]{2}:[0-9]{2}(:[0-9]{2})?) UTC\b")
 """As `pqsec_pki._times` writes it."""
+_SOON = timedelta(days=2)
 _FOR_PROGRAMS = re.compile(r'("|^)([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9:.]{8,15})\+00:00("|$)')
 
 
@@ -31,6 +35,11 @@ def day(when: datetime) -> str:
         return f"{when.astimezone():%Y-%m-%d}"
     except (ValueError, OverflowError, OSError):
         return f"{when:%Y-%m-%d}"
+
+
+def end(when: datetime) -> str:
+    """The date at which something ends, with the minute if that is soon: 2026-11-24 03:10 CET."""
+    return local(said(when)) if abs(when - _settings.now()) < _SOON else day(when)
 
 
 def for_programs(text: str) -> str:

@@ -8,7 +8,7 @@ import click
 from pqsec_pki._times import said
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
-from pqsec_pki.cli._times import day
+from pqsec_pki.cli._times import end
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import install as install_bundle
 from pqsec_pki.enrolment import pins_of, removed_alone
@@ -100,7 +100,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         pin=_passphrases.pin,
     )
     word = "was already installed" if done.already else "installed"
-    until = f"until {day(done.not_after)}"
+    until = f"until {end(done.not_after)}"
     _printing.emit(done.to_json(), [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])
 
 

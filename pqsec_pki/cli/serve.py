@@ -73,5 +73,4 @@ def serve(file: Path, url: str | None, part: str, passphrase_file: Path | None) 
             settings,
             lambda keystore: _passphrases.unlock(keystore, secret),
             _settings.now,
-            _printing.note,
         )

@@ -9,7 +9,7 @@ import click
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
 from pqsec_pki.cli._metrics import write_metrics
 from pqsec_pki.cli._names import named
-from pqsec_pki.cli._times import day
+from pqsec_pki.cli._times import end
 from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import (
@@ -154,7 +154,7 @@ def _lines(
     yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
     for term in standing.shared:
         state = "" if term.state is State.VALID else f", {term.state}"
-        yield f"{_ROLES[term.kind]:<15}  until {day(term.not_after)}{state}"
+        yield f"{_ROLES[term.kind]:<15}  until {end(term.not_after)}{state}"
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
     yield f"participants     {', '.join(counts) or nobody}"
     yield from more
@@ -165,7 +165,7 @@ def _lines(
             (*_HEADERS, *(_ROBOT_HEADERS if has_receipts else ())),
             (
                 (
-                    *(each.name, each.state, day(each.not_after)),
+                    *(each.name, each.state, end(each.not_after)),
                     *(each.profile or "-", each.domains or "-", each.serial),
                     *(_robot(robots[each.name]) if has_receipts else ()),
                 )

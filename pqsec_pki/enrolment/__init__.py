@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         one_command,
     )
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
-    from pqsec_pki.enrolment.installing import Installed, install, removed_alone
+    from pqsec_pki.enrolment.installing import Installed, install, removed_alone, require_trust
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
     from pqsec_pki.enrolment.offline import (
         Accepted,
@@ -97,6 +97,7 @@ __all__ = [
     "removed_alone",
     "request",
     "requests",
+    "require_trust",
     "rollback",
     "same_answers",
     "save",

@@ -112,6 +112,13 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         return _result(found, store, bundle, already=already)
 
 
+def require_trust(root: Path, pins: Pins | None = None) -> None:
+    """UsageError if neither `pins` nor what is installed in `root` says which CAs to trust."""
+    with changing(root) as store:
+        if not (pins or trust_state(store, store.current, needed=True)):
+            raise _no_cas()
+
+
 def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
     """The participants, sorted, that `install` of the bundle in file `path` `alone` would remove.
 
@@ -162,7 +169,11 @@ def _pins(
         return state.pins
     if trust_first:
         return bundle.roles
-    raise UsageError(
+    raise _no_cas()
+
+
+def _no_cas() -> UsageError:
+    return UsageError(
         "nothing is installed yet, so no CAs are trusted",
         hint="name each: --ca-fingerprint ROLE:SHA256; `pqsec ca show --pins` on the CA machine"
         " prints them",

@@ -15,7 +15,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import CERTIFICATE
-from pqsec_pki.enrolment import changing, one_command
+from pqsec_pki.enrolment import changing, one_command, require_trust
 from pqsec_pki.errors import KeystoreError, PqsecError
 from pqsec_pki.est.client import EstClient
 from pqsec_pki.est.known_server import KnownServer
@@ -72,9 +72,12 @@ def enrol(  # noqa: PLR0913 -- by name
 
     A valid certificate that is installed under the same CAs stays, unless `terms.force`.
     KeystoreError if it is under others. Errors as of `requests`, `answer_to` and `take`; what is
-    installed stays as it was.
+    installed stays as it was. Nothing is sent where no answer could be installed, because no CAs
+    are trusted: UsageError.
     """
     name = regular_name(name)
+    if not terms.trust_first:
+        require_trust(root, terms.pins)
     with one_command(root):
         before = installed(root).get(name, {})
         if terms.force or is_requested(root, name) or not _is_enrolled(before, root, terms, clock):

@@ -7,16 +7,13 @@ request. The rest is asked from the signer, which decides.
 import json
 import time
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import field
-from datetime import UTC, datetime
 from http import HTTPStatus
 from typing import Any
 
 from twisted.web.http import datetimeToString
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._times import rfc3339
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.est import EST, PROBLEM, RECEIPTS, TEXT, NotSignedError
 from pqsec_pki.server.addresses import key_of
@@ -24,6 +21,7 @@ from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.call import SignerAnswer
 from pqsec_pki.server.channel import LimitedRequest
 from pqsec_pki.server.configuration import ServerLimits
+from pqsec_pki.server.events import Log
 from pqsec_pki.server.limiting import Rate, RecentKeys
 from pqsec_pki.server.reading import media_type_of, signer_call, values_of
 from pqsec_pki.server.routes import Route
@@ -42,7 +40,7 @@ class Front:
 
     calls: SignerCalls
     limits: ServerLimits
-    log: Callable[[dict[str, object]], None]
+    log: Log
     counts: Counter[str] = field(default_factory=Counter)
     by_address: Rate = field(init=False)
     by_label: Rate = field(init=False)
@@ -179,7 +177,6 @@ class Exchange:
         """One line: never a secret, a token's text or the content of a request."""
         self.front.log(
             {
-                "at": rfc3339(datetime.now(UTC), timespec="milliseconds"),
                 "address": self.address,
                 "method": self.request.method[:16].decode("ascii", "replace"),
                 "path": self.request.path[:_LONGEST_SHOWN].decode("ascii", "replace"),

@@ -1,10 +1,8 @@
 """The process that faces the network: its sockets, its signals, and its end (Twisted)."""
 
-import json
 import os
 import resource
 import signal
-import sys
 from contextlib import suppress
 from socket import socket
 from typing import Any
@@ -19,6 +17,7 @@ from pqsec_pki.est import TlsIdentity, server_context
 from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.channel import Channels, TlsChannels
 from pqsec_pki.server.configuration import ServerSettings, read_settings
+from pqsec_pki.server.events import log
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.metrics import StatusPages
@@ -44,7 +43,7 @@ class Listening:
     def __init__(self, settings: ServerSettings) -> None:
         self._settings, self._context = settings, tls_context(settings)
         limits = settings.limits
-        self.front = Front(SignerCalls(reactor, settings.socket), limits, _log)
+        self.front = Front(SignerCalls(reactor, settings.socket), limits, log)
         self.connections = Connections(limits)
         self._channels = Channels(
             reactor,
@@ -64,7 +63,9 @@ class Listening:
         _raise_file_limit(settings.limits.connections)
         globalLogBeginner.beginLoggingTo([_observe], redirectStandardIO=False, discardBuffer=True)
         tls = TlsChannels(lambda: self._context, self._channels, reactor)
-        for each in given_sockets(os.environ) or [bound(each) for each in settings.listen]:
+        sockets = given_sockets(os.environ) or [bound(each) for each in settings.listen]
+        addresses = [_address(each) for each in sockets]
+        for each in sockets:
             self._ports.append(_adopted(each, tls))
         if settings.status:
             pages = StatusPages(self.front, self.connections)
@@ -74,6 +75,7 @@ class Listening:
         signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client may go at any time
         signal.signal(signal.SIGINT, signal.getsignal(signal.SIGTERM))
         stay()
+        log({"event": "the server listens", "url": settings.url, "addresses": addresses})
         reactor.callWhenRunning(notify, "READY=1", os.environ)
         reactor.run(installSignalHandlers=False)
 
@@ -84,7 +86,7 @@ class Listening:
             context = tls_context(found)
         except PqsecError as error:
             self.front.trouble = f"the configuration is not changed: {error}"
-            _log({"event": "the configuration is not changed", "detail": str(error)})
+            log({"event": "the configuration is not changed", "detail": str(error)})
             return
         self.front.trouble = ""
         self._context, self._settings = context, found
@@ -93,7 +95,7 @@ class Listening:
         self._channels.classical = found.classical
         self._channels.buffered = found.limits.buffered
         self.connections.use(found.limits)
-        _log({"event": "the configuration was read again"})
+        log({"event": "the configuration was read again"})
 
     def _stop(self) -> None:
         """Accept nothing more, and end when all answers are written."""
@@ -115,6 +117,12 @@ def run_front(settings: ServerSettings) -> None:
     Listening(settings).run()
 
 
+def _address(listener: socket) -> str:
+    """Where it listens: host and port, or a path."""
+    name = listener.getsockname()
+    return f"{name[0]}:{name[1]}" if isinstance(name, tuple) else str(name)
+
+
 def _adopted(given: socket, factory: Any) -> Any:
     """Listen there with Twisted, which duplicates the socket."""
     given.settimeout(0)
@@ -129,12 +137,8 @@ def _raise_file_limit(connections: int) -> None:
         resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
 
 
-def _log(line: dict[str, object]) -> None:
-    sys.stderr.write(f"{json.dumps(line)}\n")
-
-
 def _observe(event: Any) -> None:
     """Errors of Twisted itself, which are mistakes of this program, go into the log."""
     failure = event.get("log_failure")
     if failure is not None:
-        _log({"event": "internal error", "detail": failure.getTraceback()[-2000:]})
+        log({"event": "internal error", "detail": failure.getTraceback()[-2000:]})

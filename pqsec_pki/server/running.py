@@ -23,6 +23,7 @@ from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import ServerSettings, read_settings
+from pqsec_pki.server.events import log
 from pqsec_pki.server.factories import read_factories
 from pqsec_pki.server.signer import SignerProcess, give_to, listening, users_of
 
@@ -38,14 +39,12 @@ _END = 10
 """Seconds that the front gets to finish its answers."""
 
 Unlock = Callable[[Keystore], Authorities]
-Log = Callable[[str], None]
 
 
 def run_signer(
     settings: ServerSettings,
     unlock: Unlock,
     clock: Callable[[], datetime],
-    log: Log,
     pass_on: Callable[[], None] = lambda: None,
 ) -> None:
     """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`."""
@@ -108,9 +107,7 @@ def make_state(settings: ServerSettings) -> None:
             give_to(settings.state, settings.front_user)
 
 
-def run_both(
-    settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime], log: Log
-) -> None:
+def run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime]) -> None:
     """Run the front as a process of its own, and the signer in this one.
 
     KeystoreError if the front ends by itself.
@@ -126,7 +123,7 @@ def run_both(
 
     signal.signal(signal.SIGCHLD, child_ended)
     try:
-        run_signer(settings, unlock, clock, log, lambda: front.send_signal(signal.SIGHUP))
+        run_signer(settings, unlock, clock, lambda: front.send_signal(signal.SIGHUP))
     finally:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         _stop(front)

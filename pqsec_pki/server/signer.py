@@ -22,6 +22,7 @@ from pqsec_pki._files import FileVersion, disk_errors, file_version
 from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
 from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
 from pqsec_pki.server.call_handling import CallHandler
+from pqsec_pki.server.events import Log
 
 MOST = 64
 """Calls that are answered together: the last one waits for all of them."""
@@ -43,7 +44,7 @@ class SignerProcess:
     """Reads the configuration, and enters what it read; raises if there is a mistake."""
     users: frozenset[int]
     """Who may connect."""
-    log: Callable[[str], None]
+    log: Log
     pass_on: Callable[[], None]
     """Tells the front to read the configuration again too."""
     handler: CallHandler = field(init=False)
@@ -95,9 +96,9 @@ class SignerProcess:
         self._list_after = time.monotonic() + _LIST_POLL
         try:
             if self.handler.keep_list():
-                self.log("a revocation list was issued")
+                self.log({"event": "a revocation list was issued"})
         except PqsecError as error:
-            self.log(f"no revocation list could be issued: {error}")
+            self.log({"event": "no revocation list could be issued", "detail": str(error)})
 
     def _load(self, what: str) -> None:
         """Use what is in the files now; if that has a mistake, what was in them stays in force."""
@@ -105,10 +106,10 @@ class SignerProcess:
         try:
             self.handler = self.load(seen)
             self.trouble = ""
-            self.log(f"{what} was read again")
+            self.log({"event": f"{what} was read again"})
         except PqsecError as error:
             self.trouble = f"{what} is not changed: {error}"
-            self.log(self.trouble)
+            self.log({"event": f"{what} is not changed", "detail": str(error)})
         self._read = seen or self._read
         self._list_after = 0.0
 
@@ -144,7 +145,7 @@ class SignerProcess:
             answers = [failed] * len(calls)
         for call, answer in zip(calls, answers, strict=True):
             if answer.note:
-                self.log(f"{call.kind} from {call.address}: {answer.status} {answer.note}")
+                self.log(_line(call, answer))
         return answers
 
     def _call(self, link: socket.socket) -> SignerCall | None:
@@ -154,9 +155,18 @@ class SignerProcess:
                 raise MalformedError("another user may not ask the signer")
             return SignerCall.of(*unpacked(_LinkReader(link, time.monotonic() + SECONDS).take))
         except (PqsecError, OSError) as error:
-            self.log(f"a call is refused: {error}")
+            self.log({"event": "a call is refused", "detail": str(error)})
             link.close()
             return None
+
+
+def _line(call: SignerCall, answer: SignerAnswer) -> dict[str, object]:
+    return {
+        "event": call.kind,
+        "address": call.address,
+        "status": answer.status,
+        "detail": answer.note,
+    }
 
 
 @dataclass(slots=True)

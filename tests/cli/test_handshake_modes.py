@@ -365,12 +365,14 @@ def terminal():
 
 
 @pytest.mark.slow
-def test_at_a_terminal_it_counts_participants_and_pairs(terminal, keystore, tmp_path):
+def test_at_a_terminal_it_counts_participants_and_pairs(terminal, pqsec, keystore, tmp_path):
+    """So many that each count is drawn: a single pair may be done before."""
     keystore()
+    pqsec("-k k issue --publish x", *(f"/n{number}" for number in range(10))).done()
     code, said = terminal(tmp_path, ALL).end()
     assert code == 0
-    assert " of 2 participants, " in said
-    assert " of 1 pairs, " in said
+    assert " of 12 participants, " in said
+    assert " of 66 pairs, " in said
 
 
 @pytest.mark.slow

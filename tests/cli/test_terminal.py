@@ -211,6 +211,19 @@ def test_times_are_in_the_zone_of_the_reader_and_in_utc_for_programs(terminal, p
     assert re.findall(r"[0-9-]{10} [0-9:]{5} [A-Z]+", piped) == in_india
 
 
+def test_what_ends_soon_is_told_with_the_minute(pqsec, process, keystore):
+    """For a certificate of hours, a date says nothing."""
+    keystore()
+    pqsec("-k k issue /brief --publish x --validity 1h").done()
+    pqsec("-k k bundle /brief --plain-key -o b").done()
+    place = {"TZ": "IST-5:30"}
+    minute = r"20[0-9-]{8} [0-9:]{5} IST"
+    assert re.search(rf"until {minute} ", process("install b --dir r --trust-first", **place).out)
+    shown = process("-k k status", **place).done().out
+    assert re.search(rf"/brief .*{minute}", shown)
+    assert len(re.findall(minute, shown)) == 1
+
+
 # Progress
 
 NAMES = " ".join(f"/n{number}" for number in range(60))

@@ -16,7 +16,7 @@ from pqsec_pki.credentials import CERTIFICATE, KEY, REVOCATION_LIST
 from pqsec_pki.enrolment import Bundle, changing, one_command, read_receipts
 from pqsec_pki.enrolment.trust import pins_in_use
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
-from pqsec_pki.errors import KeystoreError, PqsecError, VerificationError
+from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, VerificationError
 from pqsec_pki.est import (
     EstClient,
     KeyTerms,
@@ -201,10 +201,16 @@ def test_cas_that_are_not_pinned_are_refused(server, terms, robot):
         enrol(client_of(server), ROBOT, robot, replace(terms, pins=wrong), clock=clock())
     assert files(robot) is None
     assert KnownServer.at(robot) is None
-    with pytest.raises(PqsecError, match="no CAs are trusted"):
-        enrol(client_of(server), ROBOT, robot, replace(terms, pins=None), clock=clock())
     trusting = replace(terms, pins=None, trust_first=True)
     assert enrol(client_of(server), ROBOT, robot, trusting, clock=clock()).renewed
+
+
+def test_a_robot_that_trusts_no_cas_sends_nothing(server, terms, robot):
+    """It could not install any answer, and would use up its token."""
+    with pytest.raises(UsageError, match="no CAs are trusted"):
+        enrol(client_of(server), ROBOT, robot, replace(terms, pins=None), clock=clock())
+    assert server.seen == []
+    assert not robot.exists()
 
 
 def test_a_token_of_another_fleet_changes_nothing(enrolled, server, terms, place):

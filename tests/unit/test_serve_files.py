@@ -1,5 +1,6 @@
 """What the server reads beside `serve.yaml` is used when it changes, and if it cannot be, told."""
 
+import json
 import os
 from datetime import UTC, datetime, timedelta
 
@@ -8,6 +9,7 @@ import pytest
 from pqsec_pki.certificates import RevocationList
 from pqsec_pki.errors import FileError
 from pqsec_pki.server import read_settings
+from pqsec_pki.server.call import CallKind
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.running import make_state
 from tests.unit.factory import Maker
@@ -46,6 +48,17 @@ def status(server, name, folder):
     return server.ask(Robot(server, folder, name).request, token=server.token(name)).status
 
 
+def test_each_line_of_the_log_is_an_event_in_json(server, tmp_path):
+    """Of both processes; one says where the server listens."""
+    assert status(server, "/fleet/r1", tmp_path / "a") == 200
+    events = [json.loads(each) for each in server.log.splitlines()]
+    assert all(datetime.fromisoformat(each["at"]) for each in events)
+    [listens] = [each for each in events if each.get("event") == "the server listens"]
+    assert listens["addresses"] == [f"127.0.0.1:{server.port}"]
+    [issued] = [each for each in events if each.get("event") == CallKind.REQUEST]
+    assert issued["status"] == 200
+
+
 def test_a_new_line_of_an_inventory_counts_at_once(server, tmp_path):
     assert status(server, "/fleet/new", tmp_path / "a") == 403
     (server.folder / "robots.csv").write_text(f"{INVENTORY}/fleet/new,\n")
@@ -64,9 +77,9 @@ def test_a_file_with_a_mistake_leaves_the_old_one_in_force(server, maker, tmp_pa
     assert (server.page("/readyz"), in_force(server)) == (200, False)
     device, robot = maker.device("SN-2"), Robot(server, tmp_path, "/fleet/c2")
     assert server.ask(robot.request, identity=device).status == 200
-    assert server.log.count(f"{path} is not changed: ") == 1  # it is read once
+    assert server.log.count(f'{path} is not changed"') == 1  # it is read once
     path.unlink()
-    until(lambda: server.log.count(f"{path} is not changed: ") == 2)
+    until(lambda: server.log.count(f'{path} is not changed"') == 2)
     path.write_bytes(before)
     until(lambda: name not in server.page("/readyz", text=True))
     assert in_force(server)
