@@ -36,7 +36,7 @@ from pqsec_pki.lifecycle import ParticipantSpec, issue
 
 BLOCKS = 20
 CHECKOUT = Path(__file__).parents[1]
-CYCLONE_TARGET = 0.7
+CYCLONE_TARGET = 0.9
 
 
 @dataclass(frozen=True)

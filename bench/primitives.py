@@ -41,7 +41,9 @@ def agreeing(name: str) -> list[Call]:
 
 
 def _halves(key: PrivateKey) -> tuple[Any, ...]:
-    return key.handle if isinstance(key.handle, tuple) else (key.handle,)
+    """The library's keys: one, or the two of a composite or a pair."""
+    both = key.handle if isinstance(key.handle, tuple) else (key.handle,)
+    return tuple(each.handle if isinstance(each, PrivateKey) else each for each in both)
 
 
 def _scheme(half: Any, rsa_padding: Any) -> tuple[Any, ...]:

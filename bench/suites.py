@@ -37,7 +37,7 @@ def target(suite: HandshakeSuite) -> float | None:
     """The most that the ratio to the floor may be; none for a mix of old and new."""
     parts = [(suite.alternative or suite.signature).family, suite.agreement.family]
     if Family.CLASSICAL not in parts:
-        return 1.25
+        return 1.2
     names = suite.signature.name, suite.agreement.name
     return 2.5 if names == ("ecdsa-p256", "ecdh-p256") else None
 

@@ -2,9 +2,12 @@
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 from cryptography.hazmat.primitives.asymmetric import mldsa
+
+from pqsec_pki.algorithms import PrivateKey
 
 _RANDOM = mldsa.MLDSA44PrivateKey | mldsa.MLDSA65PrivateKey | mldsa.MLDSA87PrivateKey
 
@@ -34,9 +37,11 @@ class _Noted:
 
 
 def noted(handle: Any) -> Any:
-    """A private key's handle, or a tuple of such, that signs as before."""
+    """A private key's handle, or a tuple of such or of keys, that signs as before."""
     if isinstance(handle, tuple):
         return tuple(map(noted, handle))
+    if isinstance(handle, PrivateKey):
+        return replace(handle, handle=noted(handle.handle))
     return _Noted(handle) if isinstance(handle, _RANDOM) else handle
 
 

@@ -8,7 +8,8 @@ and writes DER only. Field names follow the specifications, in snake case.
 import re
 from collections.abc import Iterable
 from datetime import UTC, datetime
-from typing import Annotated, TypeVar
+from threading import RLock
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from cryptography.hazmat import asn1
 from cryptography.hazmat.asn1 import (
@@ -21,11 +22,13 @@ from cryptography.hazmat.asn1 import (
     Null,
     SetOf,
     UTCTime,
-    sequence,
 )
 from cryptography.x509 import ObjectIdentifier
 
 from pqsec_pki.errors import MalformedError
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.asn1 import sequence
 
 __all__ = [
     "TLV",
@@ -46,7 +49,6 @@ __all__ = [
     "PBES2Params",
     "PBKDF2Params",
     "PreTBSCertList",
-    "PreTBSCertificate",
     "RevokedEntry",
     "SeedAndExpandedKey",
     "SetOf",
@@ -93,11 +95,11 @@ def decode(kind: type[T], der: bytes, what: str) -> T:
     """`der` decoded as a `kind`; MalformedError, naming `what`, if it is not one."""
     try:
         return asn1.decode_der(kind, der)
-    except (ValueError, TypeError, OverflowError) as error:
+    except (ValueError, OverflowError) as error:
         raise MalformedError(f"not a DER {what}: {plain_words(error)}") from error
 
 
-_PARSE_ERROR = re.compile(r"ParseError \{ kind: (\w+)(?:.*location: \[(.*?)\])?")
+_PARSE_ERROR = r"ParseError \{ kind: (\w+)(?:.*location: \[(.*?)\])?"
 _PARSE_ERRORS = {
     "EncodedDefault": "a default value is encoded, such as cA FALSE, which DER forbids",
     "ExtraData": "there is data after the end",
@@ -111,26 +113,31 @@ _PARSE_ERRORS = {
 
 def plain_words(error: Exception) -> str:
     """The message of cryptography's parser in plain words."""
-    found = _PARSE_ERROR.search(str(error))
+    found = re.search(_PARSE_ERROR, str(error))
     if not found:
         return str(error)
     place = f" ({found[2]})".replace('"', "") if found[2] else ""
     return _PARSE_ERRORS.get(found[1], "a value is invalid") + place
 
 
-def elements(der: bytes, count: int, what: str) -> list[bytes]:
-    """The first `count` values inside the SEQUENCE `der`, each with its header.
+def elements(der: bytes, count: int | None, what: str) -> list[bytes]:
+    """The first `count` values inside the SEQUENCE `der`, or all, each with its header.
 
     This and `content` use only the lengths and check nothing else: for octets that a strict
     reader has to accept as well. MalformedError, naming `what`, if there are fewer.
     """
-    found = []
+    found: list[bytes] = []
     try:
         if der[0] != _SEQUENCE:
             raise MalformedError(f"not a DER {what}: no SEQUENCE")
-        at, _ = _extent(der, 0)
-        for _ in range(count):
-            _, end = _extent(der, at)
+        at, last = _extent(der, 0)
+        # As _extent, without a call for each: a peer's certificate has many.
+        while at < last if count is None else len(found) < count:
+            size, end = der[at + 1], at + 2
+            if size > _SHORT:
+                first, end = end, end + (size & _SHORT)
+                size = int.from_bytes(der[first:end])
+            end += size
             found.append(der[at:end])
             at = end
     except IndexError:
@@ -176,14 +183,14 @@ def raw(der: bytes) -> TLV:
     return asn1.decode_der(TLV, der)
 
 
-def sequence_of(parts: Iterable[bytes]) -> bytes:
-    """The DER SEQUENCE OF these complete DER values, for a whole message."""
+def sequence_of(parts: Iterable[bytes], tag: int = _SEQUENCE) -> bytes:
+    """The DER SEQUENCE of these complete DER values, or another constructed value with `tag`."""
     inside = b"".join(parts)
     size = len(inside)
     if size <= _SHORT:
-        return bytes((_SEQUENCE, size)) + inside
+        return bytes((tag, size)) + inside
     length = size.to_bytes((size.bit_length() + 7) // 8)
-    return bytes((_SEQUENCE, _SHORT + 1 + len(length))) + length + inside
+    return bytes((tag, _SHORT + 1 + len(length))) + length + inside
 
 
 def bits(data: bytes) -> BitString:
@@ -215,6 +222,37 @@ def moment_of(time: Time) -> datetime:
     """`time` as an aware datetime in UTC."""
     return time.as_datetime().replace(tzinfo=UTC)
 
+
+class _Root:
+    """The `__asn1_root__` of a class, which the parser and other such classes ask for.
+
+    A command needs few of them, and each takes a third of a millisecond. Only one thread makes
+    one: `asn1.sequence` fails where two do (both CA keys are decrypted at once).
+    """
+
+    _making = RLock()  # one for all: a structure makes those inside it
+
+    def __get__(self, _: object, kind: type[Any]) -> object:
+        with self._making:
+            if vars(kind)["__asn1_root__"] is self:
+                asn1.sequence(kind)
+        return kind.__asn1_root__
+
+
+def _sequence(kind: Any) -> Any:
+    """`asn1.sequence`, later."""
+
+    def init(self: object, **values: object) -> None:
+        if values.keys() != kind.__annotations__.keys():
+            raise TypeError(f"{kind.__name__} has the fields {', '.join(kind.__annotations__)}")
+        vars(self).update(values)
+
+    kind.__init__, kind.__asn1_root__ = init, _Root()
+    return kind
+
+
+if not TYPE_CHECKING:
+    sequence = _sequence
 
 # RFC 5280 4.1, X.509 (10/2019) 7.2. Without a docstring, inspect would write a signature for
 # each class, which takes longer than all else.
@@ -260,21 +298,6 @@ class TBSCertificate:
     version: Annotated[int, Explicit(0), Default(0)]
     serial_number: int
     signature: AlgorithmIdentifier
-    issuer: TLV
-    validity: TLV
-    subject: TLV
-    subject_public_key_info: TLV
-    issuer_unique_id: Annotated[BitString | None, Implicit(1)]
-    subject_unique_id: Annotated[BitString | None, Implicit(2)]
-    extensions: Annotated[list[Extension] | None, Explicit(3)]
-
-
-@sequence
-class PreTBSCertificate:
-    """What an alternative signature covers: without `signature` and altSignatureValue (9.8)."""
-
-    version: Annotated[int, Explicit(0), Default(0)]
-    serial_number: int
     issuer: TLV
     validity: TLV
     subject: TLV

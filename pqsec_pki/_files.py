@@ -6,7 +6,6 @@ old content or the new one, never a part. Private files are 0600 whatever the um
 
 import errno
 import os
-import secrets
 import select
 import stat
 from collections.abc import Iterator
@@ -76,8 +75,13 @@ def noted(seen: dict[Path, FileVersion]) -> Iterator[None]:
         _seen.reset(token)
 
 
-def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) -> bytes:
-    """The bytes of a file below `root`; links on its path are resolved.
+def real_path(path: Path) -> str:
+    """Where the links on the path lead; for `read_within`."""
+    return os.path.realpath(path)
+
+
+def read_within(root: str, path: Path, *, follow: bool, limit: int = MAX_FILE) -> bytes:
+    """The bytes of a file below `root`, a `real_path`; links on its path are resolved.
 
     FileError if a link leads out of `root`: otherwise a folder made by another user could
     make pqsec copy any file of the caller. Unless `follow`, `path` itself must not be a link.
@@ -89,7 +93,7 @@ def read_within(root: Path, path: Path, *, follow: bool, limit: int = MAX_FILE) 
         ) as file:
             # Opened once, so no race. Not by pathlib: bundles are made of thousands of files.
             place = os.readlink(f"/proc/self/fd/{file.fileno()}")  # noqa: PTH115
-            if not place.startswith(os.path.join(os.path.realpath(root), "")):  # noqa: PTH118
+            if not place.startswith(os.path.join(root, "")):  # noqa: PTH118
                 raise FileError(
                     f"{path} leads out of {root}",
                     hint="replace the link by a copy of the file it should point to",
@@ -201,7 +205,7 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
     at `path` is itself replaced, never followed. FileError if the folder refuses.
     """
     try:
-        draft = path.with_name(f".{path.name}.{secrets.token_hex(8)}")
+        draft = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
         try:
             create(draft, data, mode=PRIVATE_MODE if private else PUBLIC_MODE, sync=True)
             if force:

@@ -52,8 +52,8 @@ def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]
     that fails is raised, after all processes have ended. PqsecError if a process is killed.
     """
     items = list(zip(*columns, strict=True))
-    count = min(_cores(), len(items) // LEAST)
-    if count <= 1:
+    count = len(items) // LEAST
+    if count <= 1 or (count := min(count, _cores())) == 1:
         return [work(*item) for item in counted(items, len(items))]
     shares = [range(number, len(items), count) for number in range(count)]
 

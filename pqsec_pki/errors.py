@@ -7,7 +7,6 @@ failed, 2 if the request makes no sense, 3 if the work could not be done.
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from difflib import get_close_matches
 from typing import Self, TypeVar
 
 from pqsec_pki import __version__
@@ -27,6 +26,8 @@ def shown(text: str, limit: int = 80) -> str:
 
 def meant(word: str, known: Iterable[str]) -> str:
     """`did you mean '/talker'?`, with up to three of `known` that are spelled alike; or ''."""
+    from difflib import get_close_matches  # noqa: PLC0415 -- few errors need it
+
     near = get_close_matches(word, known, MOST_MEANT, _ALIKE)
     return f"did you mean {' or '.join(repr(shown(each)) for each in near)}?" if near else ""
 

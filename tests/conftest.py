@@ -5,6 +5,7 @@ Where it is missing the test is skipped, with the way to get it in the reason. W
 PQSEC_REQUIRE_INTEROP=1, as in .ci/run, such a skip is a failure.
 """
 
+import gc
 import os
 import signal
 from collections import Counter
@@ -29,7 +30,7 @@ Found = TypeVar("Found")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # No test asserts wall-clock time: by default hypothesis fails an example that takes 200 ms.
-hypothesis.settings.register_profile("pqsec", deadline=None, max_examples=100 if LONG else 25)
+hypothesis.settings.register_profile("pqsec", deadline=None, max_examples=100 if LONG else 15)
 hypothesis.settings.load_profile("pqsec")
 
 ITERATIONS = _pbes2.ITERATIONS
@@ -52,6 +53,13 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     if hasattr(config, "workerinput"):
         slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
         items.sort(key=lambda item: -slow[item.path])
+
+
+def pytest_collection_finish() -> None:
+    """Tests stay, so no collection of garbage need look at them; fewer find as much."""
+    gc.collect()
+    gc.freeze()
+    gc.set_threshold(20_000)
 
 
 @pytest.fixture(scope="session")

@@ -10,7 +10,9 @@ What a module runs when it is imported is measured once, in a process that impor
 (tests/unit/test_rooms.py). The job of mutants, which asks which test runs what, measures all.
 """
 
+import os
 import signal
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -22,7 +24,7 @@ from coverage import Coverage
 ROOT = Path(__file__).parents[1]
 NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e"}
 """Folders whose tests run the same code over and over, or processes of their own."""
-MEASURED_THERE = {"test_postgres.py"}
+MEASURED_THERE = {"test_plugin_try.py", "test_postgres.py"}
 """Files of those folders: nothing else runs what they run."""
 PATIENCE = 0.5
 """Seconds of the processor."""
@@ -60,6 +62,8 @@ class Measurement:
         self._fixtures: set[object] = set()
         self._barren: Counter[str] = Counter()
         """Test -> how many cases in a row have shown nothing new."""
+        # What a fork of this process runs is measured for nobody: it ends without saving it.
+        os.register_at_fork(after_in_child=lambda: sys.settrace(None))
         self._stop()
 
     def _start(self) -> None:

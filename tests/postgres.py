@@ -5,7 +5,6 @@ import pwd
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
@@ -15,6 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pqsec_pki.keystore import LedgerAddress, schema_sql
+from tests.ports import free_port
 
 PROGRAMS = max(Path("/usr/lib/postgresql").glob("*/bin"), default=None)
 WRITER, PASSWORD = "officer", "pw-of-a-test-7741"
@@ -43,7 +43,7 @@ class Cluster:
         folder = Path(tempfile.mkdtemp(prefix="pg"))
         try:
             _give(folder)
-            cluster = cls(folder, _free_port())
+            cluster = cls(folder, free_port())
             cluster.run("initdb", "-D", cluster.data, "-A", "trust", "-U", "owner", "--no-sync",
                         "-E", "UTF8", "--locale", "C")  # fmt: skip
             rules = ["local all all trust", "local replication all trust"]
@@ -153,9 +153,3 @@ def _as_user() -> dict[str, object]:
         return {}
     user = pwd.getpwnam("postgres")
     return {"user": user.pw_uid, "group": user.pw_gid, "extra_groups": []}
-
-
-def _free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]

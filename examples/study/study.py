@@ -30,19 +30,29 @@ from pqsec_pki.benchmark import (
     measured_rounds,
     suites_of,
 )
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.trial import STACKS, Link, find
 
-OWN = (Plugins.STOCK, "classical")
-UNSECURED = (Plugins.NONE, None)
-CLASSICAL, PQ, CNSA2 = ((Plugins.PQSEC, name) for name in ("classical", "pq", "cnsa2"))
-TRANSITION, HYBRID = ((Plugins.PQSEC, name) for name in ("transition", "hybrid"))
+OWN = (Plugins.STOCK, "classical", None)
+UNSECURED = (Plugins.NONE, None, None)
+CLASSICAL, PQ, CNSA2, TRANSITION, HYBRID = (
+    (Plugins.PQSEC, name, WireVersion.FIRST)
+    for name in ("classical", "pq", "cnsa2", "transition", "hybrid")
+)
+PQ_SECOND, CNSA2_SECOND = ((Plugins.PQSEC, name, WireVersion.SECOND) for name in ("pq", "cnsa2"))
+VERSIONS = (PQ, PQ_SECOND, CNSA2, CNSA2_SECOND)
 MAIN = (OWN, CLASSICAL, PQ, CNSA2)
 SAMPLES = 20
 
 
+def case(kind, hosts, link):
+    plugins, profile, version = kind
+    return MeshCase(plugins=plugins, profile=profile, hosts=hosts, link=link, wire_version=version)
+
+
 def cases(kinds, hosts=(2,), losses=(0.0,), mtus=(1500,)):
     return [
-        MeshCase(plugins=kind[0], profile=kind[1], hosts=count, link=Link(loss=loss, mtu=mtu))
+        case(kind, count, Link(loss=loss, mtu=mtu))
         for count, loss, mtu, kind in product(hosts, losses, mtus, kinds)
     ]
 
@@ -53,16 +63,21 @@ PARTS = {
         *cases((UNSECURED, TRANSITION, HYBRID), losses=(0.0, 0.05)),
         *cases(MAIN, losses=(0.0, 0.05), mtus=(576,)),
     ],
-    "hosts": cases((OWN, PQ), hosts=(5, 10, 20, 40), losses=(0.0, 0.05)),
+    "versions": [
+        *cases(VERSIONS, losses=(0.0, 0.01, 0.05, 0.1)),
+        *cases(VERSIONS, losses=(0.0, 0.05), mtus=(576,)),
+    ],
+    "hosts": cases((OWN, PQ, PQ_SECOND), hosts=(5, 10, 20, 40), losses=(0.0, 0.05)),
 }
 SMALL = {
     "pairs": cases((OWN, PQ), losses=(0.0, 0.05)),
+    "versions": cases((PQ, PQ_SECOND), losses=(0.0, 0.05)),
     "hosts": cases((OWN, PQ), hosts=(3, 5)),
 }
-WARM_UP = MeshCase(plugins=Plugins.PQSEC, profile="pq", hosts=2, link=Link())
+WARM_UP = case(PQ, 2, Link())
 """Run before each round and not kept: the agent starts its first worker."""
-ROUNDS = {"pairs": 20, "hosts": 5}
-TIMEOUT = {"pairs": 60.0, "hosts": 120.0}
+ROUNDS = {"pairs": 20, "versions": 20, "hosts": 5}
+TIMEOUT = {"pairs": 60.0, "versions": 60.0, "hosts": 120.0}
 
 
 def measure(part, stack, matrix, rounds, folder):
@@ -90,11 +105,14 @@ def measure(part, stack, matrix, rounds, folder):
 
 
 def rounds_in(path):
-    """How many rounds the file already has."""
+    """How many rounds the file already has; it must have the columns of today's pqsec."""
     if not path.exists():
         return 0
     with gzip.open(path, "rt") as file:
-        return max((int(row["run"] or 0) for row in csv.DictReader(file)), default=0)
+        rows = csv.DictReader(file)
+        if tuple(rows.fieldnames or ()) != MESH_COLUMNS:
+            raise SystemExit(f"{path} was made by another version: use a new folder")
+        return max((int(row["run"] or 0) for row in rows), default=0)
 
 
 def keep(path, found, environment):
@@ -112,9 +130,10 @@ def keep(path, found, environment):
 def suites(rounds, folder):
     """The handshake in memory, as JSON."""
     now = datetime.now(UTC)
-    found = [
-        measured_rounds(each, rounds=rounds, warm_up=5, now=now) for each in suites_of(PROFILES)
-    ]
+    chosen = dict.fromkeys(
+        each.in_version(version) for each in suites_of(PROFILES) for version in WireVersion
+    )
+    found = [measured_rounds(each, rounds=rounds, warm_up=5, now=now) for each in chosen]
     value = {
         "environment": asdict(Environment.here(now)),
         "suites": [each.to_json(1344) for each in found if each],
@@ -129,7 +148,7 @@ def main():
     parser.add_argument("--part", nargs="+", choices=["suites", *PARTS])
     parser.add_argument("--stack", nargs="+", choices=list(map(str, STACKS)), default=list(STACKS))
     parser.add_argument("--rounds", type=int)
-    parser.add_argument("--small", action="store_true", help="three minutes instead of hours")
+    parser.add_argument("--small", action="store_true", help="minutes instead of hours")
     words = parser.parse_args()
     words.results.mkdir(exist_ok=True)
     for part in words.part or ["suites", *PARTS]:

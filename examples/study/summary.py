@@ -14,6 +14,7 @@ import csv
 import gzip
 import json
 from collections import defaultdict
+from itertools import product
 from math import comb
 from pathlib import Path
 from statistics import median
@@ -65,7 +66,7 @@ def read(folder, part):
             rows += csv.DictReader(file)
     for row in rows:
         if row["run"] and not row["host"]:
-            kind = (row["plugins"], row["profile"])
+            kind = (row["plugins"], row["profile"], row["wire_version"])
             case = (row["stack"], kind, int(row["hosts"]), float(row["loss"]), int(row["mtu"]))
             runs[case, int(row["run"])][row["measure"]] = float(row["value"] or "nan")
     cases = defaultdict(list)
@@ -89,8 +90,9 @@ def table(head, lines):
 
 
 def name(kind):
-    plugins, profile = kind
-    return {"none": "unsecured", "stock": f"{profile}, the stack's own"}.get(plugins, profile)
+    plugins, profile, version = kind
+    words = {"none": "unsecured", "stock": f"{profile}, the stack's own"}.get(plugins, profile)
+    return f"{words}, version 2" if version == "2" else words
 
 
 def of_losses(cases, stack, mtu):
@@ -108,9 +110,9 @@ def of_losses(cases, stack, mtu):
 
 
 KINDS = [
-    ("none", ""),
-    ("stock", "classical"),
-    *(("pqsec", each) for each in ("classical", "transition", "hybrid", "pq", "cnsa2")),
+    ("none", "", ""),
+    ("stock", "classical", ""),
+    *product(["pqsec"], ("classical", "transition", "hybrid", "pq", "cnsa2"), "12"),
 ]
 
 
@@ -177,7 +179,7 @@ def of_suites(suites):
         head,
         (
             [
-                each["profile"],
+                name(("pqsec", each["profile"], str(each["wire_version"]))),
                 *(number(each["cpu_ms"][side]["p50"]) for side in ("initiator", "responder")),
                 number(each["cpu_ms"]["handshake"]["p95"]),
                 "/".join(map(str, each["token_bytes"])),
@@ -196,10 +198,18 @@ def tables(folder):
         yield from [f"## Two hosts, {STACKS[stack]}, MTU {mtu}", "", *of_losses(pairs, stack, mtu)]
     if pairs:
         yield from ["## Costs of two hosts", "", *of_costs(pairs)]
+    _, versions = read(folder, "versions")
+    for stack, mtu in sorted({(case[0], case[4]) for case in versions}):
+        title = f"## Both versions of the messages, {STACKS[stack]}, MTU {mtu}"
+        yield from [title, "", *of_losses(versions, stack, mtu)]
+    if versions:
+        title = "## Costs of two hosts with both versions of the messages"
+        yield from [title, "", *of_costs(versions)]
     _, many = read(folder, "hosts")
     if many:
         yield from ["## Many hosts", "", *of_hosts(many)]
-    loads = [each["load"] for runs in (*pairs.values(), *many.values()) for each in runs]
+    every = (*pairs.values(), *versions.values(), *many.values())
+    loads = [each["load"] for runs in every for each in runs]
     if loads:
         yield f"Load before the runs: median {number(median(loads))}, at most {number(max(loads))}."
 
@@ -217,7 +227,7 @@ def summarize(folder):
     """The lines of all tables; plots are written into the folder."""
     if found := measured_suites(folder):
         draw(folder, "", suites_drawn(found))
-    for part in ("pairs", "hosts"):
+    for part in ("pairs", "versions", "hosts"):
         rows, cases = read(folder, part)
         if cases:
             draw(folder, f"{part}-", meshes_drawn(rows))

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pqsec_pki.access.change import Change, Difference, Sense
     from pqsec_pki.access.counterparts import (
         Alone,
+        CriteriaRight,
         TopicRight,
         open_rights,
         rights_of,
@@ -64,6 +65,7 @@ __all__ = [
     "Action",
     "Alone",
     "Change",
+    "CriteriaRight",
     "Decision",
     "Difference",
     "DocumentOwner",

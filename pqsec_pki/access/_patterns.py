@@ -22,7 +22,7 @@ _CACHED = 1 << 14
 LONGEST = 4 * MAX_NAME
 """Octets of a name. A pattern that needs more covers no name."""
 _STAR = -1
-_SPECIAL = re.compile(r"[*?\[\\]")
+SPECIAL = re.compile(r"[*?\[\\]")
 
 
 def posix(pattern: str, name: str) -> bool:
@@ -94,7 +94,7 @@ def bits(number: int) -> Iterator[int]:
 
 
 def _covers(compiling: Callable[[str], Compiled], pattern: str, name: str) -> bool:
-    special = _SPECIAL.search(pattern)
+    special = SPECIAL.search(pattern)
     if special is None or not name.startswith(pattern[: special.start()]):
         return pattern == name  # nearly all patterns of a large policy are plain names
     if pattern[special.start() :] == "*" and len(pattern) <= MAX_NAME:
@@ -167,7 +167,7 @@ def _tokens(pattern: str, bracket: Bracket, escape: str) -> Iterator[int]:
 
 def opendds(pattern: str, name: str) -> bool:
     r"""ACE::wild_match, with `\` as escape and `[!` but not `[^`."""
-    special = _SPECIAL.search(pattern)
+    special = SPECIAL.search(pattern)
     if special is None or not name.startswith(pattern[: special.start()]):
         return pattern == name
     return wild_match(_characters(pattern), _characters(name))

@@ -5,19 +5,17 @@ for each such set of patterns agree on every name. The sets are found with one a
 patterns; its states are sets of places in the patterns.
 """
 
-import re
 from collections.abc import Container, Iterable, Sequence
 from string import ascii_letters, digits
 from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.access._patterns import bits, compiled
+from pqsec_pki.access._patterns import SPECIAL, bits, compiled
 
 MAX_WORK = 2_000_000
 """Places in all states, a second or two of work. With more, the names are not complete, because the
 number of sets of patterns can be exponential."""
 
-_SPECIAL = re.compile(r"[*?\[\\]")
 _State: TypeAlias = frozenset[int]
 _OTHER = -1
 
@@ -41,7 +39,7 @@ class Witnesses:
 
 def is_wildcard(pattern: str) -> bool:
     """Whether the pattern may cover other names than itself."""
-    return _SPECIAL.search(pattern) is not None
+    return SPECIAL.search(pattern) is not None
 
 
 def witnesses(patterns: Iterable[str]) -> Witnesses:

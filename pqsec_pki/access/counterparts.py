@@ -6,12 +6,12 @@ as overlapping. What ROS 2 gives every node, used or not, is left out.
 
 import re
 from collections.abc import Iterable, Iterator
-from functools import lru_cache
 from itertools import product
+from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._domains import stretches
-from pqsec_pki.access._patterns import posix
+from pqsec_pki.access._patterns import SPECIAL, posix
 from pqsec_pki.access._witnesses import is_wildcard
 from pqsec_pki.access.question import Action
 from pqsec_pki.documents import (
@@ -27,24 +27,32 @@ _EITHER = (Action.PUBLISH, Action.SUBSCRIBE)
 _OTHER = {Action.PUBLISH: Action.SUBSCRIBE, Action.SUBSCRIBE: Action.PUBLISH}
 _EVERYWHERE = DomainSet(parts=(DomainRange(first=0),))
 _ANY_PARTITION = ("*",)
-_WILD = re.compile(r"[*?\[\\]")
 _WORD = re.compile(r"[^/_]+")
 _LETTERS = re.compile(r"[^\W\d_]+")
 _LEAST_WORD = 3
 """Letters of a word that can have a typing error: /arm_l and /arm_r are two topics."""
-_CACHED = 1 << 14
-"""Pairs of domains, or of partitions; a fleet has few."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CriteriaRight:
+    """What one participant may do with the topics, or patterns, of criteria."""
+
+    owner: str
+    action: Action
+    topics: tuple[str, ...]
+    domains: DomainSet
+    partitions: tuple[str, ...] = ()
+    line: int | None = None
+    """Of the criteria, in the document."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TopicRight:
-    """What one participant may do with a topic or a pattern of topics."""
+    """What one participant may do with one topic."""
 
     owner: str
     action: Action
     topic: str
-    domains: DomainSet
-    partitions: tuple[str, ...] = ()
     line: int | None = None
     """Of its criteria, in the document."""
 
@@ -63,7 +71,7 @@ class Alone:
         return f"{text}: did you mean {self.meant}?" if self.meant else text
 
 
-def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[TopicRight]:
+def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[CriteriaRight]:
     """What the grants allow; a default ALLOW is a right to everything."""
     for grant in grants:
         if grant.default is DefaultAction.ALLOW:
@@ -72,18 +80,17 @@ def rights_of(owner: str, grants: Iterable[Grant]) -> Iterator[TopicRight]:
             parts = ((Action.PUBLISH, rule.publish), (Action.SUBSCRIBE, rule.subscribe))
             for action, criteria in parts if rule.allow else ():
                 for each in criteria:
-                    for topic in each.topics:
-                        yield TopicRight(
-                            owner=owner,
-                            action=action,
-                            topic=topic,
-                            domains=rule.domains,
-                            partitions=each.partitions,
-                            line=each.line,
-                        )
+                    yield CriteriaRight(
+                        owner=owner,
+                        action=action,
+                        topics=each.topics,
+                        domains=rule.domains,
+                        partitions=each.partitions,
+                        line=each.line,
+                    )
 
 
-def open_rights(governance: Governance) -> Iterator[TopicRight]:
+def open_rights(governance: Governance) -> Iterator[CriteriaRight]:
     """What the governance allows everyone, whatever their permissions."""
     for rule in governance.domain_rules:
         for each in rule.topic_rules:
@@ -96,81 +103,105 @@ def open_rights(governance: Governance) -> Iterator[TopicRight]:
 
 
 def without_counterpart(
-    asked: Iterable[TopicRight], known: Iterable[TopicRight]
+    asked: Iterable[CriteriaRight], known: Iterable[CriteriaRight]
 ) -> Iterator[Alone]:
-    """Those of the rights `asked` for which no right in `known` is the other side.
+    """Those of the rights `asked`, by topic, for which no right in `known` is the other side.
 
     Only plain topics, and of a service or action only the topic of its request.
     """
     sides = _Sides(known)
-    alone = [
-        right
-        for right in asked
-        if not _is_routine(right.topic) and not sides.has_counterpart(right)
-    ]
+    alone = [(right, topic) for right in asked for topic in sides.alone(right)]
     near = {
-        action: _NearTopics(sides.literals(_OTHER[action]), {each.topic for each in of_action})
+        action: _NearTopics(sides.literals(_OTHER[action]), wanted)
         for action in _EITHER
-        if (of_action := [right for right in alone if right.action is action])
+        if (wanted := {topic for right, topic in alone if right.action is action})
     }
-    for right in alone:
-        found = (
-            topic
-            for topic in near[right.action].of(right.topic)
-            if sides.is_counterpart(right, topic)
-        )
-        yield Alone(right=right, meant=min(found, default=""))
+    for right, topic in alone:
+        found = near[right.action].of(topic)
+        single = TopicRight(owner=right.owner, action=right.action, topic=topic, line=right.line)
+        yield Alone(right=single, meant=min(sides.used(right, found), default=""))
 
 
 def _everything(
     owner: str, topic: str, domains: DomainSet, actions: Iterable[Action]
-) -> Iterator[TopicRight]:
+) -> Iterator[CriteriaRight]:
     for action in actions:
-        yield TopicRight(
-            owner=owner, action=action, topic=topic, domains=domains, partitions=_ANY_PARTITION
+        yield CriteriaRight(
+            owner=owner,
+            action=action,
+            topics=(topic,),
+            domains=domains,
+            partitions=_ANY_PARTITION,
         )
 
 
 def _is_routine(topic: str) -> bool:
     """Whether it is no news that a topic has no counterpart, or another topic says it."""
-    if is_wildcard(topic) or topic.startswith("rr/"):
+    if topic.startswith("rr/") or is_wildcard(topic):
         return True
     if "/_action/" in topic:
         return not topic.endswith("/send_goalRequest")
     return ros.is_of_every_node(topic)
 
 
-class _Sides:
-    """Rights by action and topic."""
+_Place: TypeAlias = tuple[DomainSet, tuple[str, ...]]
+"""Domains and partitions."""
 
-    def __init__(self, rights: Iterable[TopicRight]) -> None:
-        self._rights: dict[Action, dict[str, dict[tuple[object, ...], TopicRight]]] = {
-            action: {} for action in _EITHER
-        }
-        for each in rights:  # those that differ by their owner only are one
-            alike = self._rights[each.action].setdefault(each.topic, {})
-            alike.setdefault((each.domains, each.partitions), each)
+
+class _Sides:
+    """Where rights hold, by action and topic."""
+
+    def __init__(self, rights: Iterable[CriteriaRight]) -> None:
+        self._numbers: dict[_Place, int] = {}
+        """Of the places; those of a fleet are few."""
+        self._places: dict[int, _Place] = {}
+        self._meeting: dict[tuple[int, int], bool] = {}
+        self._of: dict[Action, dict[str, set[int]]] = {action: {} for action in _EITHER}
+        for right in rights:
+            number, topics = self._number(right), self._of[right.action]
+            for topic in right.topics:
+                topics.setdefault(topic, set()).add(number)
         self._prefixes: dict[Action, dict[str, list[str]]] = {action: {} for action in _EITHER}
-        for action, topics in self._rights.items():
+        for action, topics in self._of.items():
             for topic in topics:
-                if found := _WILD.search(topic):
+                if found := SPECIAL.search(topic):
                     prefix = topic[: found.start()]
                     self._prefixes[action].setdefault(prefix, []).append(topic)
 
     def literals(self, action: Action) -> Iterator[str]:
         """The topics, without patterns."""
-        return (topic for topic in self._rights[action] if not _WILD.search(topic))
+        return (topic for topic in self._of[action] if not SPECIAL.search(topic))
 
-    def has_counterpart(self, right: TopicRight) -> bool:
-        """Whether any right is the other side of a plain topic."""
-        other = _OTHER[right.action]
-        names = {right.topic, *self._patterns(other, right.topic)}
-        return any(self.is_counterpart(right, name) for name in names)
+    def alone(self, right: CriteriaRight) -> Iterator[str]:
+        """Its topics of which no right is the other side, without routine."""
+        own, other = self._number(right), _OTHER[right.action]
+        for topic in right.topics:
+            if not _is_routine(topic) and not self._is_used(own, other, topic):
+                patterns = self._patterns(other, topic)
+                if not any(self._is_used(own, other, each) for each in patterns):
+                    yield topic
 
-    def is_counterpart(self, right: TopicRight, topic: str) -> bool:
-        """Whether a right to that topic or pattern is the other side, by domain and partition."""
-        found = self._rights[_OTHER[right.action]].get(topic, {})
-        return any(_meet(right, each) for each in found.values())
+    def used(self, right: CriteriaRight, topics: Iterable[str]) -> Iterator[str]:
+        """Those of the topics of which a right is the other side, by domain and partition."""
+        own, other = self._number(right), _OTHER[right.action]
+        return (topic for topic in topics if self._is_used(own, other, topic))
+
+    def _is_used(self, own: int, action: Action, topic: str) -> bool:
+        return any(self._meet(own, each) for each in self._of[action].get(topic, ()))
+
+    def _number(self, right: CriteriaRight) -> int:
+        place = right.domains, right.partitions or ("",)
+        number = self._numbers.setdefault(place, len(self._numbers))
+        self._places[number] = place
+        return number
+
+    def _meet(self, one: int, other: int) -> bool:
+        known = self._meeting.get((one, other))
+        if known is None:
+            (domains, partitions), (others, theirs) = self._places[one], self._places[other]
+            known = _domains_meet(domains, others) and _partitions_meet(partitions, theirs)
+            self._meeting[one, other] = known
+        return known
 
     def _patterns(self, action: Action, topic: str) -> Iterator[str]:
         prefixes = self._prefixes[action]
@@ -197,7 +228,7 @@ class _NearTopics:
         """The topics that differ so from this one."""
         return {
             topic
-            for spelling in _spellings(wanted)
+            for spelling in (_spellings(wanted) if self._spelled else ())
             for topic in self._spelled.get(spelling, ())
             if is_one_edit(wanted, topic)
         }
@@ -250,18 +281,10 @@ def _spellings(topic: str) -> set[str]:
     return {topic, *(topic[:n] + topic[n + 1 :] for n in places)}
 
 
-def _meet(one: TopicRight, other: TopicRight) -> bool:
-    return _domains_meet(one.domains, other.domains) and _partitions_meet(
-        one.partitions or ("",), other.partitions or ("",)
-    )
-
-
-@lru_cache(_CACHED)
 def _domains_meet(one: DomainSet, other: DomainSet) -> bool:
     return any(each.first in one and each.first in other for each in stretches([one, other]))
 
 
-@lru_cache(_CACHED)
 def _partitions_meet(some: tuple[str, ...], others: tuple[str, ...]) -> bool:
     return any(
         posix(one, other) or posix(other, one) or (is_wildcard(one) and is_wildcard(other))

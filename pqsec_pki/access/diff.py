@@ -8,6 +8,7 @@ to find changes for single stacks.
 """
 
 from collections.abc import Iterator
+from functools import lru_cache
 from itertools import product
 
 from pqsec_pki._times import exact
@@ -23,6 +24,8 @@ STACKS = "stacks"
 """The `interpretation` of a change that the standard ignores and no stack was checked for."""
 _SECOND = "a grant above it is used, but some stacks look further, or for another spelling"
 _NAMELESS = "its subject is not a name, but some stacks compare pieces only"
+_KEPT = 1_000
+"""Pairs of grants whose comparison is kept: to plan, to propose and to check ask for the same."""
 MOST_RESHAPED = 8
 """Most added or removed patterns of an action to compare in pairs: more would not help a reader."""
 
@@ -88,6 +91,7 @@ def _subject(grant: Grant) -> object:
     return frozenset({subject, subject[::-1]})
 
 
+@lru_cache(_KEPT)
 def _grants_diff(old: Grant | None, new: Grant | None) -> Difference:
     grants = [grant for grant in (old, new) if grant]
     changes = [*_spelling_changes(old, new), *_validity_changes(old, new)] if old and new else []

@@ -1,6 +1,5 @@
 """Answers who may do what on which domains: questions without a domain, or with a topic pattern."""
 
-import re
 from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 from typing import TypeAlias
@@ -10,14 +9,13 @@ from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 
 from pqsec_pki.access._domains import domains_said as domains_said  # noqa: PLC0414 -- likewise
 from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
-from pqsec_pki.access._patterns import posix
+from pqsec_pki.access._patterns import SPECIAL, posix
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
 from pqsec_pki.access.matrix import DocumentOwner, Matrix, TopicRow, samples, topics_named
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
-_SPECIAL = re.compile(r"[*?\[\\]")
 _Users: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
 """Those who may publish a topic, and those who may subscribe to it."""
 _Rows: TypeAlias = dict[_Users, tuple[int, ...]]
@@ -160,7 +158,7 @@ def _matching(wanted: str, named: Sequence[str], literals: frozenset[str]) -> di
 
 def _of_both(one: str, other: str, matched: Sequence[str]) -> str | None:
     """A topic that both patterns cover and that is not in `matched`; None if there is none."""
-    begins = [_SPECIAL.split(each, maxsplit=1)[0] for each in (one, other)]
+    begins = [SPECIAL.split(each, maxsplit=1)[0] for each in (one, other)]
     if not begins[0].startswith(begins[1]) and not begins[1].startswith(begins[0]):
         return None
     known = [name for name in matched if posix(other, name)]

@@ -20,13 +20,14 @@ if TYPE_CHECKING:
         broken_digest,
     )
     from pqsec_pki.algorithms._table import Family, Registered
-    from pqsec_pki.algorithms.digest import Digest, digest_of
+    from pqsec_pki.algorithms.digest import BROKEN_DIGESTS, Digest, digest_of
     from pqsec_pki.algorithms.key_agreement import KEY_AGREEMENTS, MODP_DER, MODP_RAW
     from pqsec_pki.algorithms.keys import (
         is_encrypted,
         load_private_key,
         load_public_key,
         private_key_pem,
+        public_key_from_pem,
     )
     from pqsec_pki.algorithms.profile import (
         DEFAULT_PROFILE,
@@ -43,6 +44,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "BROKEN_DIGESTS",
     "DEFAULT_PROFILE",
     "KEY_AGREEMENTS",
     "MODP_DER",
@@ -75,6 +77,7 @@ __all__ = [
     "pem",
     "private_key_pem",
     "profile_named",
+    "public_key_from_pem",
     "unpem",
     "usual_agreements",
 ]

@@ -37,11 +37,7 @@ ECDSA_WITH = {f"sha{n}": f"1.2.840.10045.4.3.{arc}" for n, arc in ((256, 2), (38
 RSA_WITH = {
     f"sha{n}": f"1.2.840.113549.1.1.{n_arc}" for n, n_arc in ((256, 11), (384, 12), (512, 13))
 }
-_ECDSA = {name: ec.ECDSA(hash_) for name, hash_ in _HASHES.items()}
-_ECDSA_MARKED = {
-    identifier: ec.ECDSA(hash_)
-    for identifier, hash_ in _identifiers(ECDSA_WITH, null=False).items()
-}
+_ECDSA_HASH = _identifiers(ECDSA_WITH, null=False)
 _RSA_HASH = _identifiers(RSA_WITH, null=True)
 _LONGEST_SALT, _ANY_SALT = (
     padding.PSS(padding.MGF1(hashes.SHA256()), salt)
@@ -94,14 +90,14 @@ class Ecdsa(SignatureAlgorithm):
         return key
 
     def sign(self, handle: Any, data: bytes) -> bytes:
-        signature: bytes = handle.sign(data, _ECDSA[self.digest.name])
+        signature: bytes = handle.sign(data, ec.ECDSA(_HASHES[self.digest.name]))
         return signature
 
     def accepts(self, identifier: bytes) -> bool:
-        return identifier in _ECDSA_MARKED
+        return identifier in _ECDSA_HASH
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
-        handle.verify(signature, data, _ECDSA_MARKED[identifier])
+        handle.verify(signature, data, ec.ECDSA(_ECDSA_HASH[identifier]))
 
     def generate_handle(self) -> Any:
         return ec.generate_private_key(self.curve)

@@ -5,7 +5,6 @@ signs. Between two pqsec peers the holder signs handshakes with both keys.
 """
 
 from dataclasses import field, fields
-from functools import cache
 from typing import Any
 
 from cryptography.exceptions import InvalidSignature
@@ -39,9 +38,16 @@ class SignaturePair(SignatureAlgorithm):
     alternative: SignatureAlgorithm = field(repr=False)
 
     @classmethod
-    @cache
     def of(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "SignaturePair":
         """The row for these two."""
+        names = plain.name, alternative.name  # a row's own hash takes all its fields
+        found = _MADE.get(names)
+        if not found or found.plain is not plain or found.alternative is not alternative:
+            found = _MADE[names] = cls._made(plain, alternative)
+        return found
+
+    @classmethod
+    def _made(cls, plain: SignatureAlgorithm, alternative: SignatureAlgorithm) -> "SignaturePair":
         kept = {field.name: getattr(plain, field.name) for field in fields(SignatureAlgorithm)}
         kept |= {
             "name": f"{plain.name} + {alternative.name}",
@@ -96,3 +102,7 @@ class SignaturePair(SignatureAlgorithm):
 
     def generate_handle(self) -> Any:
         return self.plain.generate(), self.alternative.generate()
+
+
+_MADE: dict[tuple[str, str], SignaturePair] = {}
+"""By the names of the two."""

@@ -50,10 +50,12 @@ def exact_der(label: str, data: bytes) -> bytes | None:
     if body[_LINE :: _LINE + 1] != b"\n" * ends or len(body) != len(text) + ends:
         return None
     try:
-        der = binascii.a2b_base64(text)
+        der = binascii.a2b_base64(text, strict_mode=True)
     except binascii.Error:
         return None
-    return der if binascii.b2a_base64(der, newline=False) == text else None
+    # Only the unused bits of the last characters are left to check.
+    last = der[-(len(der) % 3 or 3) :]
+    return der if binascii.b2a_base64(last, newline=False) == text[-4:] else None
 
 
 def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
@@ -61,6 +63,8 @@ def unpem(data: bytes, what: str) -> list[tuple[str, bytes]]:
 
     Traditional encrypted keys, the only blocks that may have headers (RFC 1421), are left out.
     """
+    if (der := exact_der("CERTIFICATE", data)) is not None:  # as in nearly all files
+        return [("CERTIFICATE", der)]
     found = []
     for block in blocks(data, what):
         label, text = block["label"].decode(), block["text"]

@@ -80,7 +80,7 @@ class AlgorithmTable(Generic[RowT]):
     def every(self) -> Iterator[RowT]:
         """All rows: also the experimental ones, and those of other packages that are loaded."""
         yield from (*self._rows, *self.experimental)
-        yield from (row for row, _ in self.added.values())
+        yield from (row for row, _ in tuple(self.added.values()))  # a thread may add one meanwhile
 
     def to_json(self) -> list[dict[str, object]]:
         """Each row of `every`, whether it is experimental, and its package if not pqsec."""
@@ -139,8 +139,10 @@ class AlgorithmTable(Generic[RowT]):
             return None
         entry = _packages.the_only(entries, self._kind)
         package = _packages.package_of(entry)
-        row: RowT = _foreign.load(entry, row_type, self.every())
-        self.added[name] = row, package
+        # Another thread may have loaded it in this moment.
+        others = (each for each in self.every() if each.name != name)
+        row: RowT = _foreign.load(entry, row_type, others)
+        row, _ = self.added.setdefault(name, (row, package))
         warnings.warn(
             f"the {self._kind} {name} is code of the package {package}, not of pqsec:"
             " pqsec has not checked that it is secure",

@@ -38,7 +38,11 @@ DIGESTS = tuple(
 )
 SHA256, SHA384, SHA512, SHA3_256, SHA3_384, SHA3_512, SHAKE128, SHAKE256 = DIGESTS
 _BY_OID = {digest.oid: digest for digest in DIGESTS}
-_BROKEN = {"1.3.14.3.2.26": "SHA-1", "1.2.840.113549.2.5": "MD5", "1.2.840.113549.2.2": "MD2"}
+BROKEN_DIGESTS = {
+    "1.3.14.3.2.26": "SHA-1",
+    "1.2.840.113549.2.5": "MD5",
+    "1.2.840.113549.2.2": "MD2",
+}
 
 
 def digest_of(oid: str) -> Digest:
@@ -46,6 +50,6 @@ def digest_of(oid: str) -> Digest:
     try:
         return _BY_OID[oid]
     except KeyError:
-        if oid in _BROKEN:
-            raise UnknownAlgorithmError(f"digest {_BROKEN[oid]} is no longer safe") from None
+        if oid in BROKEN_DIGESTS:
+            raise UnknownAlgorithmError(f"digest {BROKEN_DIGESTS[oid]} is no longer safe") from None
         raise UnknownAlgorithmError(f"digest {oid} is not known here") from None

@@ -1,7 +1,7 @@
 """Encode and decode keys: SubjectPublicKeyInfo, PKCS#8, PEM, with or without a passphrase."""
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -29,6 +29,10 @@ from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, Unknow
 
 _ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
 """Rows found by the key's OID alone; the others need the key's curve or size."""
+_ROWS_WITH = {
+    oid: [row for row in SIGNATURES if row.key_oid == oid]
+    for oid in (row.key_oid for row in SIGNATURES)
+}
 _KNOWN_OIDS = {encode(Oid(row.key_oid)): row.key_oid for row in SIGNATURES}
 
 
@@ -49,7 +53,15 @@ def load_public_key(spki: bytes) -> PublicKey:
         raise UnknownAlgorithmError(f"this key of algorithm {oid} is not known here") from error
     except ValueError as error:
         raise MalformedError(f"not a public key: {error}") from error
-    return PublicKey(row or _row_of(handle), spki, handle)
+    return PublicKey(row or _row_of(handle, _ROWS_WITH.get(oid, ())), spki, handle)
+
+
+def public_key_from_pem(data: bytes) -> PublicKey:
+    """The key in PEM `data`, which has nothing else; errors as of `load_public_key`."""
+    match unpem(data, "public key"):
+        case [("PUBLIC KEY", spki)]:
+            return load_public_key(spki)
+    raise MalformedError("it must be one PEM block, PUBLIC KEY")
 
 
 def _known_oid(spki: bytes) -> str:
@@ -66,17 +78,18 @@ def _known_oid(spki: bytes) -> str:
 
 def _row_by_oid(oid: str) -> SignatureAlgorithm | None:
     """The row whose keys have `oid`. A key loads no other package: a peer may have sent it."""
-    added = (row for row, _ in SIGNATURES.added.values() if row.key_oid == oid)
-    return _ROWS_BY_OID.get(oid) or next(added, None)
+    if found := _ROWS_BY_OID.get(oid):
+        return found
+    added = tuple(SIGNATURES.added.values())  # a thread may add one meanwhile
+    return next((row for row, _ in added if row.key_oid == oid), None)
 
 
 def _info(spki: bytes) -> SubjectPublicKeyInfo:
     return decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo")
 
 
-_DEK_INFO = re.compile(
-    rb"^DEK-Info: (?:AES-(?:128|192|256)-CBC,[0-9A-F]{32}|DES-EDE3-CBC,[0-9A-F]{16})\r?$",
-    re.MULTILINE | re.IGNORECASE,
+_DEK_INFO = (
+    rb"(?im)^DEK-Info: (?:AES-(?:128|192|256)-CBC,[0-9A-F]{32}|DES-EDE3-CBC,[0-9A-F]{16})\r?$"
 )
 """The encryption of a traditional PEM (RFC 1421, 4.6.1.3)."""
 
@@ -161,7 +174,7 @@ def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:
     if not is_encrypted(data):
         return _wrap(_native(lambda: load_pem_private_key(data, None)))
     # Before the library reads it: an initial value of another length makes it panic.
-    if data.count(b"DEK-Info") != 1 or not _DEK_INFO.search(data):
+    if data.count(b"DEK-Info") != 1 or not re.search(_DEK_INFO, data):
         raise MalformedError("not an encrypted private key: its DEK-Info line is damaged")
     try:
         return _wrap(_native(lambda: load_pem_private_key(data, passphrase)))
@@ -186,8 +199,8 @@ def _wrap(handle: Any) -> PrivateKey:
     return _row_of(handle.public_key()).private_key(handle)
 
 
-def _row_of(handle: Any) -> SignatureAlgorithm:
-    for row in SIGNATURES:
+def _row_of(handle: Any, rows: Iterable[SignatureAlgorithm] = SIGNATURES) -> SignatureAlgorithm:
+    for row in rows:
         if row.matches(handle):
             return row
     raise UnknownAlgorithmError(

@@ -31,12 +31,13 @@ def readable(value: object) -> bytes:
 
 def parsed(data: bytes) -> Any:
     """The value of the JSON text `data`; ValueError or RecursionError if it is not strict."""
-    return json.loads(
-        data.decode(),
-        object_pairs_hook=_object,
-        parse_float=_no_number,
-        parse_constant=_no_number,
+    text = data.decode()
+    value = json.loads(
+        text, object_pairs_hook=_object, parse_float=_no_number, parse_constant=_no_number
     )
+    if "\\u" in text:
+        canonical(value)  # half a character has no form
+    return value
 
 
 @contextmanager

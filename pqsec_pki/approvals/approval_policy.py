@@ -14,8 +14,8 @@ from pqsec_pki.approvals._canonical import canonical, exactly, items, parsed, re
 from pqsec_pki.errors import KeystoreError, UsageError, shown
 
 MAX_APPROVERS = 100
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,63}")
-"""Also a part of a file's name."""
+NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,63}")
+"""Of a person or an authority; also a part of a file's name."""
 
 
 class Covered(StrEnum):
@@ -144,15 +144,19 @@ def _check(required: int, approvers: Mapping[str, PublicKey]) -> None:
         raise UsageError(f"there must be 1 to {MAX_APPROVERS} approvers")
     seen: dict[object, str] = {}
     for name, key in approvers.items():
-        if not _NAME.fullmatch(name):
+        if not NAME.fullmatch(name):
             raise UsageError(
                 f"'{shown(name)}' cannot be an approver's name", hint="write alice or bob@example"
             )
         for each, what in ((name.casefold(), "name"), (_same(key), "key")):
             if other := seen.setdefault(each, name) != name and seen[each]:
-                raise UsageError(f"{other} and {name} have one {what}: they count as two people")
+                raise UsageError(
+                    f"{other} and {name} have the same {what}, and would count as two people"
+                )
     if not 1 <= required <= len(approvers):
-        raise UsageError(f"{required} approvals of {len(approvers)} approvers cannot be had")
+        raise UsageError(
+            f"required: {required} approvals of {len(approvers)} approvers are not possible"
+        )
 
 
 def _same(key: PublicKey) -> tuple[str, bytes]:

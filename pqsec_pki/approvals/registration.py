@@ -6,7 +6,6 @@ changes nothing.
 """
 
 import hashlib
-import re
 from base64 import b64decode, b64encode
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
@@ -14,7 +13,7 @@ from functools import cached_property
 from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._times import said
+from pqsec_pki._times import days, said
 from pqsec_pki.algorithms import PrivateKey, PublicKey, load_public_key
 from pqsec_pki.approvals._canonical import (
     canonical,
@@ -27,6 +26,7 @@ from pqsec_pki.approvals._canonical import (
     time,
     whole,
 )
+from pqsec_pki.approvals.approval_policy import NAME
 from pqsec_pki.errors import UsageError, VerificationError, shown
 from pqsec_pki.problems import Code
 
@@ -36,7 +36,6 @@ LABEL = b"pqsec grant 1\n"
 MAX_GRANT = 4 << 20
 """Bytes of the file; a role has some hundreds."""
 MOST_ORDERED = 100_000
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,63}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,7 +60,7 @@ class RegistrationGrant:
 
     def __post_init__(self) -> None:
         """UsageError for a grant of nothing, or without an end."""
-        if not _NAME.fullmatch(self.authority):
+        if not NAME.fullmatch(self.authority):
             raise UsageError(
                 f"'{shown(self.authority)}' cannot be the name of a registration authority",
                 hint="write line1 or factory@example",
@@ -119,10 +118,9 @@ class RegistrationGrant:
         return SignedGrant(self, tuple(key.sign(statement) for key in keys))
 
     def __str__(self) -> str:
-        days = self.longest / timedelta(days=1)
         return (
-            f"{self.most} of {', '.join(self.names)} as {', '.join(self.roles)}, for {days:g} days"
-            f" at most, until {said(self.ends)}"
+            f"{self.most} of {', '.join(self.names)} as {', '.join(self.roles)}, for"
+            f" {days(self.longest)} at most, until {said(self.ends)}"
         )
 
 

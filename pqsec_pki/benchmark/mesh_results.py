@@ -6,11 +6,12 @@ from enum import StrEnum
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.benchmark.environment import Environment
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.trial import HostsRun, Link
 
 MESH_COLUMNS = (
     *("stack", "version", "plugins", "profile", "hosts", "loss", "delay_ms", "mtu"),
-    *("run", "host", "measure", "value"),
+    *("run", "host", "measure", "value", "wire_version"),
 )
 MET = "met_s"
 """The measure of one host and one other."""
@@ -27,6 +28,10 @@ class Plugins(StrEnum):
     """No security."""
 
 
+HostCredentials = tuple[Plugins, str | None, WireVersion | None]
+"""The plugins, the profile and the version of messages of all hosts of a case."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshCase:
     """What is run several times."""
@@ -36,9 +41,18 @@ class MeshCase:
     """None without security."""
     hosts: int
     link: Link
+    wire_version: WireVersion | None
+    """Of the messages between pqsec's plugins; None with other plugins."""
+
+    @property
+    def credentials(self) -> HostCredentials:
+        """Those of its hosts, which cases with other links share."""
+        return self.plugins, self.profile, self.wire_version
 
     def __str__(self) -> str:
-        return f"{self.profile or 'unsecured'} ({self.plugins}), {self.hosts} hosts"
+        second = self.wire_version is WireVersion.SECOND
+        kind = f"{self.plugins}, version {self.wire_version}" if second else self.plugins
+        return f"{self.profile or 'unsecured'} ({kind}), {self.hosts} hosts"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -149,4 +163,5 @@ class MeasuredMeshes:
             "loss": case.link.loss,
             "delay_ms": case.link.delay * _MILLI,
             "mtu": case.link.mtu,
+            "wire_version": case.wire_version,
         }

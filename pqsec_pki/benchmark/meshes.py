@@ -10,10 +10,13 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.benchmark.mesh_results import MeshCase, MeshRun, Plugins
+from pqsec_pki.benchmark.mesh_results import HostCredentials, MeshCase, MeshRun, Plugins
+from pqsec_pki.credentials import ENCLAVES
 from pqsec_pki.documents import DomainSet, Governance, ProtectionKind
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue, sign_governance
+from pqsec_pki.plugin import SETTINGS
 from pqsec_pki.stacks import Stack
 from pqsec_pki.trial import (
     AgentUse,
@@ -79,14 +82,14 @@ class _Prepared:
     plan: MeshPlan
     program: Sequence[str]
     plugin: TrialPlugin | None
-    environments: Mapping[tuple[Plugins, str | None], Sequence[Mapping[str, str]]]
+    environments: Mapping[HostCredentials, Sequence[Mapping[str, str]]]
 
     def run(self, case: MeshCase, number: int) -> MeshRun:
         before, load = self._agent(), os.getloadavg()[0]
         result = run_hosts(
             HostsSetup(
                 program=self.program,
-                environments=self.environments[case.plugins, case.profile][: case.hosts],
+                environments=self.environments[case.credentials][: case.hosts],
                 domain=_DOMAIN,
                 topic=TOPIC,
                 link=case.link,
@@ -111,7 +114,7 @@ class _Prepared:
 @contextmanager
 def _prepared(plan: MeshPlan) -> Iterator[_Prepared]:
     installation = plan.installation
-    kinds = dict.fromkeys((case.plugins, case.profile) for case in plan.cases)
+    kinds = dict.fromkeys(case.credentials for case in plan.cases)
     hosts = max(case.hosts for case in plan.cases)
     with ExitStack() as stack:
         name = stack.enter_context(
@@ -119,7 +122,7 @@ def _prepared(plan: MeshPlan) -> Iterator[_Prepared]:
         )
         program = installation.peer(built(installation))
         ours = None
-        if any(plugins is Plugins.PQSEC for plugins, _ in kinds):
+        if any(plugins is Plugins.PQSEC for plugins, *_ in kinds):
             fastdds = installation if installation.build.stack is Stack.FASTDDS else None
             ours = stack.enter_context(plugin(fastdds=fastdds))
         yield _Prepared(
@@ -136,16 +139,19 @@ def _environments(
     plan: MeshPlan,
     folder: Path,
     hosts: int,
-    kind: tuple[Plugins, str | None],
+    kind: HostCredentials,
     ours: TrialPlugin | None,
 ) -> list[dict[str, str]]:
     """The variables of each host."""
-    plugins, profile = kind
+    plugins, profile, version = kind
     if profile is None:
         return [_unsecured(plan.installation, folder)] * hosts
-    store = _keystore(folder / profile, profile, hosts, plan.now)
+    root = folder / (f"{profile}-{version}" if version is WireVersion.SECOND else profile)
+    store = _keystore(root, profile, hosts, plan.now)
+    if version is WireVersion.SECOND:
+        _set_version(store, version)
     used = ours if plugins is Plugins.PQSEC else None
-    places = (folder / f"{plugins}-{profile}-{number}" for number in range(hosts))
+    places = (folder / f"{plugins}-{profile}-{version}-{number}" for number in range(hosts))
     return [
         _secured(plan, store, _name(number), place, used) for number, place in enumerate(places)
     ]
@@ -182,6 +188,13 @@ def _keystore(root: Path, profile: str, hosts: int, now: datetime) -> Keystore:
     specs = [replace(spec, name=_name(number)) for number in range(hosts)]
     issue(store, authorities, specs, now=now)
     return store
+
+
+def _set_version(store: Keystore, version: WireVersion) -> None:
+    """Let all hosts use that version of messages, and refuse any other."""
+    for name in store.names():
+        path = store.root / ENCLAVES / name.removeprefix("/") / SETTINGS
+        path.write_text(f"wire_versions = [{version}]\n")
 
 
 def _secured(

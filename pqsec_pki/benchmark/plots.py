@@ -24,6 +24,8 @@ _COLUMNS = 3
 _SIDES, _MESSAGES = ("initiator", "responder"), ("request", "reply", "final")
 _KILO = 1000
 _RC: Any = {"svg.fonttype": "none", "svg.hashsalt": "pqsec", "font.size": 9, "legend.fontsize": 7}
+_FIRST = {"1", "", "None"}
+"""The first version of messages, or none."""
 _COSTS = (
     ("full_s", "seconds to full mesh"),
     ("cpu_s", "processor seconds, hosts and agent"),
@@ -163,7 +165,13 @@ def _case_of_any_number(row: Row) -> Case:
 
 
 def _kind(row: Row) -> Case:
-    return (row["stack"], row["profile"] or "unsecured", f"({row['plugins']})")
+    kind = (row["stack"], row["profile"] or "unsecured", f"({row['plugins']})")
+    return (*kind, *_version(row))
+
+
+def _version(of: Mapping[str, Any]) -> Case:
+    """That of the messages, if it is not the first; text or a number."""
+    return () if str(of["wire_version"]) in _FIRST else (f"version {of['wire_version']}",)
 
 
 def _link(row: Row) -> Case:
@@ -176,7 +184,7 @@ def _title(words: Case) -> str:
 
 
 def _suite(suite: Mapping[str, Any]) -> str:
-    name = f"{suite['signature']}, {suite['key_agreement']}"
+    name = ", ".join((suite["signature"], suite["key_agreement"], *_version(suite)))
     return f"{suite['profile']}: {name}" if suite["profile"] else name
 
 

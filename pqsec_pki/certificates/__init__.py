@@ -10,7 +10,14 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.certificates._alternative import alternative_attributes
     from pqsec_pki.certificates._names import name_text
-    from pqsec_pki.certificates.authority import BACKDATE, LAST_YEAR, Authority, common_name, end_of
+    from pqsec_pki.certificates.authority import (
+        BACKDATE,
+        LAST_YEAR,
+        MAX_COMMON_NAME,
+        Authority,
+        common_name,
+        end_of,
+    )
     from pqsec_pki.certificates.certificate import Certificate
     from pqsec_pki.certificates.chain import verify_authority, verify_chain
     from pqsec_pki.certificates.request import CertificateRequest
@@ -27,6 +34,7 @@ else:
 __all__ = [
     "BACKDATE",
     "LAST_YEAR",
+    "MAX_COMMON_NAME",
     "Authority",
     "Certificate",
     "CertificateRequest",

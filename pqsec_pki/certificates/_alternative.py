@@ -19,14 +19,16 @@ from pqsec_pki._asn1 import (
     CertificationRequestInfo,
     Extension,
     Oid,
-    PreTBSCertificate,
     PreTBSCertList,
     TBSCertificate,
     TBSCertList,
     attribute,
     bits,
+    content,
     decode,
+    elements,
     encode,
+    sequence_of,
     whole_bytes,
 )
 from pqsec_pki._dataclass import dataclass
@@ -38,6 +40,9 @@ ALT_SIGNATURE_ALGORITHM = "2.5.29.73"
 ALT_SIGNATURE_VALUE = "2.5.29.74"
 _ALL = (SUBJECT_ALT_PUBLIC_KEY_INFO, ALT_SIGNATURE_ALGORITHM, ALT_SIGNATURE_VALUE)
 _OIDS = frozenset(map(Oid, _ALL))
+_VALUE_OID = encode(Oid(ALT_SIGNATURE_VALUE))
+_VERSION, _EXTENSIONS = b"\xa0", 0xA3
+"""Tags of TBSCertificate's first value, which version 1 lacks, and of its last."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +63,12 @@ class Alternative:
         """
         if _OIDS.isdisjoint([each.oid for each in extensions]):
             return None
-        tbs = decode(TBSCertificate, der, "certificate")
-        return cls._from(_values(tbs.extensions), lambda: covered_by(tbs))
+        found = {
+            each.oid.dotted_string: each.value.public_bytes()
+            for each in extensions
+            if each.oid in _OIDS
+        }
+        return cls._from(found, lambda: _covered_by_certificate(der))
 
     @classmethod
     def of_request(cls, info: CertificationRequestInfo) -> Self | None:
@@ -88,21 +97,18 @@ class Alternative:
         issuer.verify(self.signature, self.covered, self.identifier)
 
 
-def covered_by(tbs: TBSCertificate) -> bytes:
-    """The DER that an alternative signature over `tbs` covers."""
-    return encode(
-        PreTBSCertificate(
-            version=tbs.version,
-            serial_number=tbs.serial_number,
-            issuer=tbs.issuer,
-            validity=tbs.validity,
-            subject=tbs.subject,
-            subject_public_key_info=tbs.subject_public_key_info,
-            issuer_unique_id=tbs.issuer_unique_id,
-            subject_unique_id=tbs.subject_unique_id,
-            extensions=_without_value(tbs.extensions),
-        )
-    )
+def _covered_by_certificate(tbs: bytes) -> bytes:
+    """DER of what the alternative signature in DER TBSCertificate `tbs` covers.
+
+    Cut out, not decoded and encoded again: each peer's certificate needs it.
+    """
+    values = elements(tbs, None, "certificate")
+    del values[1 + values[0].startswith(_VERSION)]  # `signature`, after version and serial number
+    if values[-1][0] == _EXTENSIONS:
+        extensions = elements(content(values[-1]), None, "certificate")
+        kept = [each for each in extensions if not content(each).startswith(_VALUE_OID)]
+        values[-1] = sequence_of([sequence_of(kept)], _EXTENSIONS)
+    return sequence_of(values)
 
 
 def add_key(tbs: TBSCertificate, alternative: PublicKey) -> None:
@@ -113,7 +119,7 @@ def add_key(tbs: TBSCertificate, alternative: PublicKey) -> None:
 def add_signature(tbs: TBSCertificate, issuer: PrivateKey) -> None:
     """Sign `tbs` with the issuer's alternative key; nothing may change in it afterwards."""
     _add(tbs, ALT_SIGNATURE_ALGORITHM, issuer.algorithm.identifier)
-    _add(tbs, ALT_SIGNATURE_VALUE, encode(bits(issuer.sign(covered_by(tbs)))))
+    _add(tbs, ALT_SIGNATURE_VALUE, encode(bits(issuer.sign(_covered_by_certificate(encode(tbs))))))
 
 
 def add_list_signature(tbs: TBSCertList, issuer: PrivateKey) -> None:

@@ -51,6 +51,14 @@ def name_line(name: x509.Name) -> str:
     return "".join(f"/{_word(each)}={_in_line(_plain(each))}" for each in name)
 
 
+def lone_common_name(name: x509.Name) -> str | None:
+    """The CN of a name that has nothing else, as those of participants; None for other names."""
+    match list(name):
+        case [part] if part.oid == NameOID.COMMON_NAME and isinstance(part.value, str):
+            return part.value
+    return None
+
+
 def _in_line(value: str) -> str:
     octets = (
         f"\\{chr(octet)}"

@@ -25,7 +25,7 @@ from pqsec_pki.algorithms import (
     unpem,
 )
 from pqsec_pki.certificates._alternative import Alternative
-from pqsec_pki.certificates._names import name_line, name_text
+from pqsec_pki.certificates._names import lone_common_name, name_line, name_text
 from pqsec_pki.errors import MalformedError, PqsecError
 
 Value = TypeVar("Value", bound=x509.ExtensionType)
@@ -57,6 +57,10 @@ class Certificate:
     """DER AlgorithmIdentifier of the signature, the same inside and outside."""
     signature: bytes = field(repr=False)
     alternative: Alternative | None = field(repr=False)
+    _signers: set[bytes] = field(init=False, repr=False, default_factory=set)
+    """DER of the keys that were found to have made its signature."""
+    _alternative_signers: set[bytes] = field(init=False, repr=False, default_factory=set)
+    """The same of its alternative signature."""
 
     @classmethod
     def from_der(cls, der: bytes) -> Self:
@@ -185,6 +189,11 @@ class Certificate:
         """The subject as in permissions documents: RFC 2253, with OpenSSL's names of attributes."""
         return name_text(self.subject)
 
+    @property
+    def common_name(self) -> str | None:
+        """The subject's CN, if the subject is a single CN."""
+        return lone_common_name(self.subject)
+
     @cached_property
     def issuer_name(self) -> str:
         """The issuer, likewise."""
@@ -235,16 +244,6 @@ class Certificate:
                 raise MalformedError("there is no alternative signature")
             self.alternative.verify(issuer)
             self._alternative_signers.add(issuer.spki)
-
-    @cached_property
-    def _signers(self) -> set[bytes]:
-        """DER of the keys that were found to have made its signature."""
-        return set()
-
-    @cached_property
-    def _alternative_signers(self) -> set[bytes]:
-        """The same of its alternative signature."""
-        return set()
 
     @property
     def is_self_issued(self) -> bool:

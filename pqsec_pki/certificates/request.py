@@ -9,7 +9,7 @@ from dataclasses import field
 from typing import Self
 
 from cryptography import x509
-from cryptography.x509.oid import AttributeOID, NameOID
+from cryptography.x509.oid import AttributeOID
 
 from pqsec_pki._asn1 import (
     CertificationRequestInfo,
@@ -22,7 +22,7 @@ from pqsec_pki._asn1 import (
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
-from pqsec_pki.certificates._names import name_text
+from pqsec_pki.certificates._names import lone_common_name, name_text
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 
 MAX_REQUEST = 256 << 10
@@ -108,11 +108,7 @@ class CertificateRequest:
     @property
     def common_name(self) -> str | None:
         """The subject's CN, if the subject is a single CN."""
-        parts = list(self.subject)
-        if len(parts) != 1 or parts[0].oid != NameOID.COMMON_NAME:
-            return None
-        value = parts[0].value
-        return value if isinstance(value, str) else None
+        return lone_common_name(self.subject)
 
     @property
     def challenge_password(self) -> bytes | None:

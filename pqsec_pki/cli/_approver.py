@@ -59,8 +59,10 @@ def _passphrase(file: Path | None) -> bytes:
     return _passphrases.asked("Passphrase of your key")
 
 
-def name_in(policy: "ApprovalPolicy", key: "PrivateKey") -> str:
-    """The approver whose key it is; VerificationError if it is nobody's."""
+def name_in(policy: "ApprovalPolicy | None", key: "PrivateKey") -> str:
+    """The approver whose key it is, empty without a policy; VerificationError for another key."""
+    if policy is None:
+        return ""
     if name := policy.name_of(key.public_key):
         return name
     raise VerificationError(

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki._progress import stage
-from pqsec_pki.algorithms import PROFILES
+from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.benchmark import (
     MESH_COLUMNS,
     Environment,
@@ -20,8 +20,9 @@ from pqsec_pki.benchmark import (
     measured_meshes,
     percentile,
 )
-from pqsec_pki.cli import _formats, _printing, _settings
+from pqsec_pki.cli import _formats, _printing, _settings, _wire_version
 from pqsec_pki.errors import UsageError
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.trial import HOSTS, MACHINE, STACKS, Link, find, refuse_without_hosts
 
 _ROUNDS = 3
@@ -29,7 +30,7 @@ _OF_STACK = {
     *("--plugins", "--hosts", "--loss", "--delay", "--mtu", "--timeout", "--samples", "--root"),
 }
 _HEADERS = (
-    *("profile", "plugins", "hosts", "loss", "delay", "mtu", "complete", "full s", "to"),
+    *("profile", "plugins", "version", "hosts", "loss", "delay", "mtu", "complete", "full s", "to"),
     *("met p50", "p95", "datagrams", "repeats", "samples lost"),
 )
 _OPTIONS = (
@@ -116,12 +117,13 @@ def refuse_without_stack() -> None:
 def run(stack: str, form: str, given: dict[str, Any]) -> tuple[list[dict[str, object]], bool]:
     """Measure and print; the rows of CSV, and whether all runs were finished."""
     environment = Environment.here(_settings.now())
+    rounds = given["rounds"] or _ROUNDS
+    cases = list(_cases(given["profiles"] or [each.name for each in PROFILES], given))
     installation = find(stack, given["root"])
     refuse_without_hosts()
-    rounds, profiles = given["rounds"] or _ROUNDS, given["profiles"]
     plan = MeshPlan(
         installation=installation,
-        cases=list(_cases(profiles or [each.name for each in PROFILES], given)),
+        cases=cases,
         rounds=rounds,
         timeout=given["timeout"],
         samples=given["samples"],
@@ -142,16 +144,47 @@ def run(stack: str, form: str, given: dict[str, Any]) -> tuple[list[dict[str, ob
 
 
 def _cases(profiles: Sequence[str], given: dict[str, Any]) -> Iterator[MeshCase]:
+    """UsageError if a version of the messages is asked for that none of them has."""
     kinds = [
-        (plugins, profile)
+        (plugins, profile, version)
         for plugins in map(Plugins, given["plugins"])
         for profile in ([None] if plugins is Plugins.NONE else profiles)
+        for version in _versions(plugins, profile, given["wire_version"])
     ]
+    _refuse_without_version(given, {version for *_, version in kinds})
     axes = (given[name] for name in ("hosts", "loss", "delay", "mtu"))
     for hosts, loss, delay, mtu in product(*axes):
         link = Link(loss=loss, delay=delay / 1000, mtu=mtu)
-        for plugins, profile in dict.fromkeys(kinds):
-            yield MeshCase(plugins=plugins, profile=profile, hosts=hosts, link=link)
+        for plugins, profile, version in dict.fromkeys(kinds):
+            yield MeshCase(
+                plugins=plugins, profile=profile, hosts=hosts, link=link, wire_version=version
+            )
+
+
+def _versions(
+    plugins: Plugins, profile: str | None, asked: Sequence[str]
+) -> list[WireVersion | None]:
+    """Those of the messages: of `asked`, or the first with key agreements of stock stacks."""
+    if plugins is not Plugins.PQSEC or profile is None:
+        return [None]
+    has_both = profile_named(profile).key_agreement.binds_transcript
+    return [_wire_version.version_of(each) if has_both else WireVersion.FIRST for each in asked]
+
+
+def _refuse_without_version(given: dict[str, Any], found: set[WireVersion | None]) -> None:
+    second = WireVersion.SECOND
+    if str(second) not in given["wire_version"] or second in found:
+        return
+    name = f"{_wire_version.NAME} {second}"
+    if Plugins.PQSEC.value not in given["plugins"]:
+        raise UsageError(
+            f"{name} is for pqsec's plugins: the stacks' own know version 1 only",
+            hint=f"choose --plugins {Plugins.PQSEC}, or leave out {_wire_version.NAME}",
+        )
+    raise UsageError(
+        f"messages of profile {' and '.join(given['profiles'])} have only version 1",
+        hint=f"choose another profile, or leave out {_wire_version.NAME}",
+    )
 
 
 def _lines(environment: Environment, title: str, found: MeasuredMeshes) -> Iterator[str]:
@@ -159,8 +192,9 @@ def _lines(environment: Environment, title: str, found: MeasuredMeshes) -> Itera
     rows = (_row(case, [each for each in found.runs if each.case == case]) for case in cases)
     yield from _printing.table(_HEADERS, rows)
     yield ""
-    yield "complete: hosts that met all others, in all runs. full: seconds until the last had met"
-    yield "all, median and longest of complete runs. met: seconds until a host had met another."
+    yield "version: of pqsec's messages. complete: hosts that met all others, in all runs."
+    yield "full: seconds until the last had met all, median and longest of complete runs."
+    yield "met: seconds until a host had met another."
     yield "datagrams: sent by all hosts until then; repeats: of handshake messages; median of runs."
     yield f"{title}, pqsec {environment.pqsec}, {environment.system}"
     yield environment.hardware
@@ -174,6 +208,7 @@ def _row(case: MeshCase, runs: Sequence[MeshRun]) -> tuple[str, ...]:
     return (
         case.profile or "",
         case.plugins.value,
+        f"{case.wire_version or '':>7}",
         f"{case.hosts:>5}",
         _printing.percent(case.link.loss),
         f"{case.link.delay * 1000:.3g}",

@@ -8,13 +8,12 @@ from io import StringIO
 
 import click
 
+from pqsec_pki._csv import cell
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.cli._times import for_programs
 from pqsec_pki.errors import UsageError
 
 TABLE, JSON, CSV = "table", "json", "csv"
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""A spreadsheet may run a cell that begins with one of these (OWASP, CSV injection)."""
 
 
 def option(*others: str) -> Callable[[_settings.Command], _settings.Command]:
@@ -72,18 +71,13 @@ def as_csv(columns: Sequence[str], items: Iterable[Mapping[str, object]]) -> Ite
     """
     yield _row(columns)
     for item in items:
-        yield _row(_cell(item.get(column)) for column in columns)
+        yield _row(for_programs(cell(_text(item.get(column)))) for column in columns)
 
 
 def _row(cells: Iterable[str]) -> str:
     text = StringIO()
     csv.writer(text, lineterminator="").writerow(cells)
     return text.getvalue()
-
-
-def _cell(value: object) -> str:
-    text = _text(value)
-    return for_programs(_printing.printable(f"'{text}" if text.startswith(_FORMULA) else text))
 
 
 def _text(value: object) -> str:

@@ -15,6 +15,15 @@ if TYPE_CHECKING:
 
 EXTRA = "enrol"
 
+fingerprints_option = click.option(
+    "--ca-fingerprint",
+    "fingerprints",
+    multiple=True,
+    metavar="ROLE:SHA256",
+    help="Trust this CA as identity, permissions or countersigner; one option for each CA."
+    " [default: the CAs that are trusted here]",
+)
+
 
 def server_options(command: _settings.Command) -> _settings.Command:
     """Add how the server is known, and which CAs are trusted."""
@@ -37,14 +46,7 @@ _OPTIONS: tuple[Callable[[_settings.Command], _settings.Command], ...] = (
         metavar="FILE",
         help="Trust the server if a CA in this file issued its certificate, for its name.",
     ),
-    click.option(
-        "--ca-fingerprint",
-        "fingerprints",
-        multiple=True,
-        metavar="ROLE:SHA256",
-        help="Trust this CA as identity, permissions or countersigner; one option for each CA."
-        " [default: the CAs that are trusted here]",
-    ),
+    fingerprints_option,
 )
 
 
@@ -67,7 +69,10 @@ def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:
     failed = [each for each in found if isinstance(each, PqsecError)]
     if done:
         _send_receipt(folder)
-        lines = [f"{each.name}  {_words(each)}, until {_end(each)}  {folder}" for each in done]
+        lines = [
+            f"{each.name}  {_words(each)}, until {end(each.certificate.not_after)}  {folder}"
+            for each in done
+        ]
         _printing.emit({"participants": done}, lines)
     if failed:
         raise FailedError(failed)
@@ -100,7 +105,3 @@ def _words(each: "Obtained") -> str:
     if each.renewed:
         return "has a new certificate"
     return "has newer documents" if each.changed else "is up to date"
-
-
-def _end(each: "Obtained") -> str:
-    return end(each.certificate.not_after)

@@ -21,6 +21,9 @@ MOST_UNREAD = 20
         "Propose permissions from a trace of Cyclone DDS": (
             "pqsec permissions learn domain.log -o learned.yaml"
         ),
+        "Propose them from what Fast DDS Monitor saved": (
+            "pqsec permissions learn monitor.json --validity 90d"
+        ),
         "Compare what nodes were seen to use with what is granted": (
             "pqsec -k robots permissions learn monday.txt tuesday.txt"
         ),
@@ -44,7 +47,7 @@ MOST_UNREAD = 20
     default=0,
     show_default=True,
     type=int,
-    help="The DDS domain of `ros2 node info`, which does not show it.",
+    help="The DDS domain, where FILE does not show it: `ros2 node info`, or a discovery server.",
 )
 @_policy.validity_option
 @_policy.output_options
@@ -60,10 +63,11 @@ def learn(  # noqa: PLR0913 -- one for each option, by name
 ) -> int:
     """Propose permissions from what was seen in a domain without security.
 
-    FILE is a trace of Cyclone DDS (category `discovery`), which shows participants of every
-    stack, or the output of `ros2 node info`. Each participant gets what it was seen to use,
-    and what ROS 2 nodes need to start. With a keystore, the differences to what it grants are
-    shown. The keystore is not changed. What was seen may be too much or not enough: review it.
+    FILE is a trace of Cyclone DDS (category `discovery`) or a dump of Fast DDS Monitor, which show
+    participants of every stack, or the output of `ros2 node info`. Each participant gets what it
+    was seen to use, and what ROS 2 nodes need to start. With a keystore, the differences to what
+    it grants are shown. The keystore is not changed. What was seen may be too much or not enough:
+    review it.
     """
     now = _settings.now()
     recording = read_recordings(files, domain=domain, names=_names(names))

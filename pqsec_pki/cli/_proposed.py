@@ -2,6 +2,7 @@
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from typing import Any
 import click
 
 from pqsec_pki import _files
-from pqsec_pki._times import said
+from pqsec_pki._times import days, said
 from pqsec_pki.access import permissions_diff
 from pqsec_pki.approvals import ChangedRights
 from pqsec_pki.certificates import CertificateRequest
@@ -17,13 +18,16 @@ from pqsec_pki.cli import _settings
 from pqsec_pki.cli._bundles import load_requests
 from pqsec_pki.cli._policy import grants_in
 from pqsec_pki.cli._settings import APPROVED
-from pqsec_pki.documents import DomainSet, Grant, Permissions, lasting
-from pqsec_pki.domain import KINDS, CommandReview, rights_words
+from pqsec_pki.cli.ra import roles_in
+from pqsec_pki.cli.sign import document_at
+from pqsec_pki.documents import DomainSet, Governance, Grant, Kind, Permissions, lasting
+from pqsec_pki.domain import KINDS, CommandReview, Desired, read_domain, rights_words
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import GROUP, Keystore, key_hashes
-from pqsec_pki.lifecycle import ParticipantSpec, plan_rollover, revocable
+from pqsec_pki.lifecycle import ParticipantSpec, changed_protection, plan_rollover, revocable
 
+_ANY = "/NAME"
 _AT_APPLY = ("passphrase_file", "no_passphrase")
 """Options that are given to `pqsec apply`."""
 
@@ -36,7 +40,7 @@ def review_of(words: Sequence[str], keystore: Keystore) -> CommandReview:
             raise UsageError(
                 f"--{option.replace('_', '-')} is not proposed: `pqsec apply` takes it"
             )
-    params, name = context.params, _name(context)
+    params, name = context.params, str(context.info_name)
     if name == "ca rotate" and not params["do"]:
         raise UsageError("only the plan would be shown", hint="propose it with --apply")
     rights = tuple(_rights(name, params, keystore))
@@ -95,10 +99,6 @@ def _parsed(words: Sequence[str]) -> click.Context:
     return context
 
 
-def _name(context: click.Context) -> str:
-    return str(context.info_name)
-
-
 def _is_given(context: click.Context, option: str) -> bool:
     return context.get_parameter_source(option) is click.core.ParameterSource.COMMANDLINE
 
@@ -153,6 +153,29 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             asked = SignRequest.from_bytes(_files.read(params["file"], limit=MAX_ARCHIVE))
             yield from _certified(asked.requests)
             yield from _wished(asked, now)
+        case _:
+            yield from _of_file(name, params, keystore)
+
+
+def _of_file(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterator[ChangedRights]:
+    """What is in the document that is signed, or in the roles of the domain file."""
+    match name:
+        case "sign-permissions":
+            found = document_at(params["file"], Kind.PERMISSIONS)
+            yield from _granted(Permissions.from_xml(found).grants)
+        case "sign-governance":
+            wanted = Governance.from_xml(document_at(params["file"], Kind.GOVERNANCE))
+            yield ChangedRights((), tuple(rights_words(changed_protection(keystore, wanted))))
+        case "ra add":
+            yield from _of_roles(read_domain(params["file"]), params["roles"])
+
+
+def _of_roles(desired: Desired, labels: tuple[str, ...]) -> Iterator[ChangedRights]:
+    """What a registration authority may give, to a participant with a name of its grant."""
+    for label in roles_in(desired, labels):
+        role = desired.roles[label]
+        for each in _granted([role.grant(_ANY, role.domains or desired.domains, {})]):
+            yield replace(each, names=(shown(f"role {label}"),))
 
 
 def _members(names: Iterable[str], keystore: Keystore) -> Iterator[ChangedRights]:
@@ -185,8 +208,7 @@ def _granted(grants: Iterable[Grant]) -> Iterator[ChangedRights]:
 def _wished(asked: SignRequest, now: datetime) -> Iterator[ChangedRights]:
     """What each participant of a sign request gets: what it wishes, or the role of an order."""
     for spec in asked.specs:
-        days = spec.validity / timedelta(days=1)
-        yield _change(spec.name, f"a certificate that is valid for {days:g} days")
+        yield _change(spec.name, f"a certificate that is valid for {days(spec.validity)}")
     if order := asked.order:
         for each in order.items:
             yield _change(each.name, f"the role {each.role} of the grant {order.grant}")

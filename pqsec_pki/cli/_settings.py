@@ -1,8 +1,7 @@
 """Shared by commands: -k and --json, parameter types, and the clock."""
 
 import os
-import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
@@ -14,6 +13,7 @@ import click
 from click.core import ParameterSource
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import UNITS, duration
 from pqsec_pki.errors import UsageError
 
 if TYPE_CHECKING:
@@ -98,7 +98,9 @@ def keystore_path(context: click.Context | None = None) -> Path:
     for variable in KEYSTORE_VARIABLES:
         if found := os.environ.get(variable):
             return Path(found)
-    is_here = Path("pqsec.json").exists()
+    from pqsec_pki.keystore import layout  # noqa: PLC0415 -- not for --help
+
+    is_here = Path(layout.SETTINGS).exists()
     raise UsageError(
         "no keystore named",
         hint="the current folder is a keystore: use -k ."
@@ -122,13 +124,12 @@ def now() -> datetime:
     return datetime.now(UTC)
 
 
-_UNITS = {"y": timedelta(365), "w": timedelta(7), "d": timedelta(1), "h": timedelta(hours=1)}
-
-
 class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
     """A validity such as 10y, 90d or 12h. A year has 365 days."""
 
     name = "duration"
+    units: Mapping[str, timedelta] = UNITS
+    examples = "10y, 26w, 90d or 12h"
 
     def convert(
         self, value: Any, param: click.Parameter | None, ctx: click.Context | None
@@ -136,10 +137,21 @@ class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
         """The duration. Raises click's error for anything else."""
         if isinstance(value, timedelta):
             return value
-        found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", str(value))
-        if not found:
-            self.fail(f"{value!r} is not a duration: write 10y, 26w, 90d or 12h", param, ctx)
-        return int(found[1]) * _UNITS[found[2]]
+        found = duration(str(value), self.units)
+        if found is None:
+            self.fail(f"{value!r} is not a duration: write {self.examples}", param, ctx)
+        return found
+
+
+class WaitingTime(Duration):
+    """For how long a command waits, such as 90s, 5m or 12h."""
+
+    units: Mapping[str, timedelta] = {
+        **{unit: UNITS[unit] for unit in "hd"},
+        "m": timedelta(minutes=1),
+        "s": timedelta(seconds=1),
+    }
+    examples = "90s, 5m, 12h or 2d"
 
 
 class FiniteRange(click.FloatRange):

@@ -12,12 +12,14 @@ from pqsec_pki.handshake import WireVersion
 NAME = "--wire-version"
 
 
-def option(words: str) -> Callable[[Command], Command]:
+def option(words: str, *, multiple: bool = False) -> Callable[[Command], Command]:
     """The option, as `wire_version`; `words` is its help."""
+    first = str(WireVersion.FIRST.value)
     return click.option(
         NAME,
         type=click.Choice([str(each.value) for each in WireVersion]),
-        default=str(WireVersion.FIRST.value),
+        multiple=multiple,
+        default=(first,) if multiple else first,
         show_default=True,
         help=words,
     )

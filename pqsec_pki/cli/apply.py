@@ -7,13 +7,10 @@ from pathlib import Path
 import click
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import is_there
 from pqsec_pki._progress import stage
-from pqsec_pki.approvals import Approval, PlanProposal
-from pqsec_pki.cli import _help, _passphrases, _printing, _proposed, _settings
+from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
-from pqsec_pki.cli.approve import approval_path, read_approval, read_proposal
-from pqsec_pki.cli.approve import lines as proposal_lines
+from pqsec_pki.cli._plan_file import command_of, plan_in, refuse_choices, run_command
 from pqsec_pki.cli.plan import (
     PROPOSAL_SUFFIX,
     chosen_ca,
@@ -31,10 +28,7 @@ from pqsec_pki.domain import (
     Step,
     StepAction,
     apply_plan,
-    approved_command,
-    approved_plan,
     change_profile,
-    command_in,
     create_keystore,
     read_domain,
     refuse_mass_revocation,
@@ -126,9 +120,9 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
             "--check and --bundles exclude each other", hint="--check does not write anything"
         )
     part = chosen_ca(only)
-    if words := _command_of(file, is_chosen=prune or new_keys or bool(part)):
-        _refuse_choices(check=check, bundles=bool(folder))
-        _run(words, file, approval_files, passphrase_file, yes=yes, none=no_passphrase)
+    if words := command_of(file, is_chosen=prune or new_keys or bool(part)):
+        refuse_choices(check=check, bundles=bool(folder))
+        run_command(words, file, approval_files, passphrase_file, yes=yes, none=no_passphrase)
         return
     wanted = _wanted(file, approval_files, part, check=check, prune=prune, new_keys=new_keys)
     desired, keystore, found = wanted.desired, wanted.keystore, wanted.found
@@ -152,22 +146,6 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         show(found, desired)
     if found.blocked or (check and found.steps):
         click.get_current_context().exit(1)
-
-
-def _command_of(file: Path, *, is_chosen: bool) -> list[str] | None:
-    """The words of the command in a plan; None if the file is another plan, or a domain file."""
-    if file.suffix != PROPOSAL_SUFFIX:
-        return None
-    if is_chosen:
-        raise UsageError("--prune, --new-keys and --only are for a domain file: a plan says all")
-    return command_in(read_proposal(file)[0])
-
-
-def _refuse_choices(**given: bool) -> None:
-    """UsageError for an option that a plan of one command does not have."""
-    for name, is_given in given.items():
-        if is_given:
-            raise UsageError(f"--{name} is not for a plan of one command")
 
 
 @dataclass(frozen=True, slots=True)
@@ -198,7 +176,8 @@ def _wanted(  # noqa: PLR0913 -- the options of the command
 ) -> _Wanted:
     """What the domain file or the plan in `file` wants."""
     if file.suffix == PROPOSAL_SUFFIX:
-        return _of_plan(file, approval_files, check=check)
+        desired, keystore, approved = plan_in(file, approval_files, to_change=not check)
+        return _Wanted(desired, keystore, approved.plan, approved)
     if approval_files:
         raise UsageError("--approval is for a plan", hint="`pqsec plan` with -o makes one")
     return _of_domain(file, part, check=check, prune=prune, new_keys=new_keys)
@@ -213,49 +192,6 @@ def _of_domain(
     if keystore and not check:
         refuse_unapproved(desired, keystore, found, now=now)
     return _Wanted(desired, keystore, found)
-
-
-def _run(  # noqa: PLR0913 -- the options of the command
-    words: list[str],
-    file: Path,
-    approval_files: tuple[Path, ...],
-    passphrase_file: Path | None,
-    *,
-    yes: bool,
-    none: bool,
-) -> None:
-    """Run the command of a plan, if enough people approved it."""
-    proposal, approvals = _approved(file, approval_files)
-    keystore = _settings.open_keystore(to_change=True)
-    if not yes:
-        confirm(
-            lambda: _printing.emit(None, proposal_lines(proposal, file)),
-            "Run this command?",
-            what="a command would be run",
-            hint="--yes runs it; `pqsec approve` shows it",
-        )
-    with keystore.hold():
-        review = _proposed.review_of(words, keystore)
-        with approved_command(proposal, approvals, review, keystore, now=_settings.now()):
-            code = _proposed.run(words, passphrase_file, no_passphrase=none)
-    if code:
-        click.get_current_context().exit(code)
-
-
-def _approved(file: Path, approval_files: tuple[Path, ...]) -> tuple[PlanProposal, list[Approval]]:
-    """The plan in the file, and the approvals of it."""
-    proposal, first = read_proposal(file)
-    beside = [approval_path(file, name) for name in proposal.policy.approvers]
-    places = approval_files or [path for path in beside if is_there(path)]
-    return proposal, [first, *map(read_approval, places)]
-
-
-def _of_plan(file: Path, approval_files: tuple[Path, ...], *, check: bool) -> _Wanted:
-    proposal, approvals = _approved(file, approval_files)
-    keystore = _settings.open_keystore(to_change=not check)
-    desired = read_domain(file.parent / proposal.domain_file)
-    approved = approved_plan(proposal, approvals, desired, keystore, now=_settings.now())
-    return _Wanted(desired, keystore, approved.plan, approved)
 
 
 def _made(

@@ -133,7 +133,7 @@ def _state_of(proposal: PlanProposal, plan: Path) -> str:
     except FileError:
         return f"which is not here; its SHA-256 was {proposal.domain_sha256}"
     same = hashlib.sha256(found).hexdigest() == proposal.domain_sha256
-    return "as it is here" if same else "which is ANOTHER here"
+    return "as it is here" if same else "which DIFFERS here"
 
 
 def read_proposal(path: Path) -> tuple[PlanProposal, Approval]:

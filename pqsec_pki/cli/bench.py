@@ -39,12 +39,21 @@ from pqsec_pki.stacks import FRAGMENT
 INTERRUPTED = 130
 """The exit code after Ctrl-C, as a shell has it: 128 + SIGINT."""
 _HEADERS = (
-    *("profile", "signature", "key agreement", "p50 ms", "p95 ms", "initiator", "responder"),
+    *(
+        "profile",
+        "signature",
+        "key agreement",
+        "version",
+        "p50 ms",
+        "p95 ms",
+        "initiator",
+        "responder",
+    ),
     *("bytes", "fragments", "memory kB"),
 )
 _KILO = 1000
 _ROUNDS = 50
-_OF_MEMORY = {"--signature", "--kem", "--all", "--warm-up", "--fragment-size", _wire_version.NAME}
+_OF_MEMORY = {"--signature", "--kem", "--all", "--warm-up", "--fragment-size"}
 
 
 @_help.command(
@@ -57,6 +66,10 @@ _OF_MEMORY = {"--signature", "--kem", "--all", "--warm-up", "--fragment-size", _
         "Draw time and bytes of all profiles": "pqsec bench --plot plots",
         "Run 3 hosts of Cyclone DDS on a network that loses 5 % of frames": (
             "pqsec bench --stack cyclonedds --profile pq --hosts 3 --loss 5%"
+        ),
+        "Compare both versions of the messages there": (
+            "pqsec bench --stack cyclonedds --profile pq --loss 5% --wire-version 1"
+            " --wire-version 2"
         ),
     },
     exit_codes={
@@ -108,7 +121,8 @@ _OF_MEMORY = {"--signature", "--kem", "--all", "--warm-up", "--fragment-size", _
     help="Bytes of a sample in one datagram.  [default: 1344, Cyclone DDS's]",
 )
 @_wire_version.option(
-    "Measure messages of this version; with key agreements of stock stacks always 1."
+    "Measure messages of this version; with key agreements of stock stacks always 1.",
+    multiple=True,
 )
 @_bench_hosts.options
 @click.option(
@@ -179,8 +193,8 @@ def _suites(given: dict[str, Any]) -> list[HandshakeSuite]:
             [KEY_AGREEMENTS.named(name) for name in given["agreements"]],
         )
     )
-    version = _wire_version.version_of(given["wire_version"])
-    return [each.in_version(version) for each in found]
+    versions = dict.fromkeys(map(_wire_version.version_of, given["wire_version"]))
+    return list(dict.fromkeys(each.in_version(version) for each in found for version in versions))
 
 
 def _run(
@@ -223,7 +237,8 @@ def _lines(
 ) -> Iterator[str]:
     yield from _printing.table(_HEADERS, (_row(each, fragment) for each in found))
     yield ""
-    yield "p50, p95: a whole handshake, both sides. initiator, responder: p50 of each side."
+    yield "version: of the messages. p50, p95: a whole handshake, both sides. initiator, responder:"
+    yield "p50 of each side."
     yield f"bytes: of the three tokens. fragments: of request, reply, final, by {fragment} bytes."
     yield "memory: the most that Python held for one handshake, without OpenSSL's own."
     here = environment
@@ -241,6 +256,7 @@ def _row(each: MeasuredSuite, fragment: int) -> tuple[str, ...]:
         each.suite.profile or "",
         each.suite.keys,
         each.suite.agreement.name,
+        f"{each.suite.version:>7}",
         f"{percentile(whole, 50):>6.2f}",
         f"{percentile(whole, 95):>6.2f}",
         *(f"{side:>9.2f}" for side in sides),

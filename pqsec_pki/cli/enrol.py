@@ -83,10 +83,11 @@ class _Asked:
 @folder_option
 @click.option(
     "--wait",
-    type=_settings.Duration(),
+    type=_settings.WaitingTime(),
     default=timedelta(),
     metavar="TIME",
-    help="If somebody must approve the request, wait for so long.  [default: not at all]",
+    help="If somebody must approve the request, wait for so long, such as 90s, 5m or 12h."
+    "  [default: not at all]",
 )
 @click.option(
     "--classical", is_flag=True, help="Accept a server without post-quantum key agreement."

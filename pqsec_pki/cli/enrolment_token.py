@@ -9,6 +9,7 @@ from pqsec_pki._files import read, refuse_existing, write
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _formats, _help, _printing, _settings
+from pqsec_pki.cli.serve import config_option
 from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import pins_in_use
 from pqsec_pki.errors import located, shown
@@ -23,14 +24,6 @@ from pqsec_pki.server import (
     token_states,
 )
 
-_config = click.option(
-    "--config",
-    "file",
-    required=True,
-    type=_settings.FILE,
-    metavar="FILE",
-    help="The server's configuration: serve.yaml.",
-)
 _COLUMNS = ("id", "names", "uses", "used", "replaces", "made_at", "not_after", "end")
 
 
@@ -84,7 +77,7 @@ def enrolment_token() -> None:
     is_flag=True,
     help="Let it replace the certificate of a robot that has one for another key.",
 )
-@_config
+@config_option
 @_settings.command_options
 def create(  # noqa: PLR0913 -- one for each option, by name
     name: str, goal: Path, file: Path, uses: int, validity: timedelta | None, *, replaces: bool
@@ -126,11 +119,11 @@ def create(  # noqa: PLR0913 -- one for each option, by name
         3: "the keystore cannot be read",
     },
 )
-@_config
+@config_option
 @_formats.option()
 @_settings.command_options
 def list_(file: Path, form: str) -> None:
-    """List all tokens that were created: for whom, how often used, and whether they end."""
+    """List all tokens: the names that each admits, how often it was used, and its state."""
     _formats.chosen(form)
     _print(token_states(Keystore.open(read_settings(file).keystore)), form)
 
@@ -143,13 +136,13 @@ def list_(file: Path, form: str) -> None:
         ),
     },
     exit_codes={
-        0: "the tokens admit nobody any more",
+        0: "the tokens admit no more requests",
         1: "the configuration is not valid",
         3: "there is no such token, or the keystore cannot be changed",
     },
 )
 @click.argument("ids", nargs=-1, required=True, metavar="ID...")
-@_config
+@config_option
 @_settings.command_options
 def revoke(ids: tuple[str, ...], file: Path) -> None:
     """Revoke tokens. What robots got with them before stays; `pqsec revoke` revokes that."""

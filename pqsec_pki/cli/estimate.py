@@ -1,15 +1,16 @@
 """pqsec estimate: predict what the handshakes of a fleet cost."""
 
 from collections.abc import Iterator
+from contextlib import suppress
 from math import isfinite
 from pathlib import Path
 
 import click
 
 from pqsec_pki._files import refuse_existing, write
-from pqsec_pki.algorithms import PROFILES, profile_named
-from pqsec_pki.cli import _help, _printing, _settings
-from pqsec_pki.errors import UsageError
+from pqsec_pki.algorithms import PROFILES, Profile, profile_named
+from pqsec_pki.cli import _help, _printing, _settings, _wire_version
+from pqsec_pki.errors import MalformedError, UsageError
 from pqsec_pki.estimation import (
     TIMES,
     VALIDITY,
@@ -23,7 +24,7 @@ from pqsec_pki.estimation import (
     sizes_of,
     svg_of,
 )
-from pqsec_pki.handshake import MessageSizes
+from pqsec_pki.handshake import MessageSizes, WireVersion
 from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
 
 
@@ -102,6 +103,7 @@ from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
     metavar="BENCH.json",
     help="Take processor times from the JSON of `pqsec bench`.",
 )
+@_wire_version.option("Predict messages of this version.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the simulation.")
 @click.option(
     "--plot",
@@ -122,6 +124,7 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
     start_within: float,
     threshold: int,
     measured: Path | None,
+    wire_version: str,
     seed: int,
     plot: Path | None,
     force: bool,
@@ -134,12 +137,13 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
     """
     if plot and not force:
         refuse_existing(plot)
-    name, sizes = _fleet(participants, profile)
+    version = _wire_version.version_of(wire_version)
+    name, sizes = _fleet(participants, profile, version)
     scenario = Scenario(
         participants=participants or len(sizes),
         sizes=mean_of(sizes),
         each=sizes,
-        costs=read_costs(measured, name) if measured else costs_of(name),
+        costs=read_costs(measured, name, version) if measured else costs_of(name, version),
         loss=loss,
         fragment=fragment,
         cores=cores,
@@ -147,30 +151,54 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
         start_within=start_within,
         threshold=threshold,
     )
-    found = estimated(scenario, seed)
+    found = estimated(scenario, seed, _second(participants, profile, version) if loss else None)
     if plot:
         write(plot, svg_of(found).encode(), force=force)
-    _printing.emit({"profile": name, **found.to_json()}, _lines(name, found))
+    value = {"profile": name, "wire_version": version, **found.to_json()}
+    _printing.emit(value, _lines(f"{name}, messages of version {version}", found))
 
 
-def _fleet(participants: int | None, profile: str | None) -> tuple[str, tuple[MessageSizes, ...]]:
+def _second(
+    participants: int | None, profile: str | None, version: WireVersion
+) -> MessageSizes | None:
+    """The mean sizes in the second version, if the fleet does not have it and could have."""
+    if version is WireVersion.SECOND:
+        return None
+    with suppress(UsageError, MalformedError):
+        return mean_of(_fleet(participants, profile, WireVersion.SECOND)[1])
+    return None
+
+
+def _fleet(
+    participants: int | None, profile: str | None, version: WireVersion
+) -> tuple[str, tuple[MessageSizes, ...]]:
     """The profile, and the sizes of one participant for all, or of each of the keystore."""
     if participants:
         chosen = profile_named(profile or "pq")
-        return chosen.name, (sizes_of(chosen),)
+        _refuse_second(chosen, version)
+        return chosen.name, (sizes_of(chosen, version),)
     keystore = _settings.open_keystore()
     if profile and profile != keystore.profile.name:
         raise UsageError(
             f"the keystore has profile {keystore.profile.name}",
             hint="for another profile, name a number: --participants",
         )
-    sizes = tuple(sizes_in(keystore))
+    _refuse_second(keystore.profile, version)
+    sizes = tuple(sizes_in(keystore, version))
     if len(sizes) < 2:  # noqa: PLR2004 -- one meets nobody
         raise UsageError(
             f"the keystore has {_printing.counted(len(sizes), 'participant')}, who meet nobody",
             hint="name a number: --participants",
         )
     return keystore.profile.name, sizes
+
+
+def _refuse_second(profile: Profile, version: WireVersion) -> None:
+    if version is WireVersion.SECOND and not profile.key_agreement.binds_transcript:
+        raise UsageError(
+            f"messages of profile {profile.name} have only version 1",
+            hint=f"leave out {_wire_version.NAME}",
+        )
 
 
 def _lines(profile: str, found: Estimate) -> Iterator[str]:
@@ -188,7 +216,7 @@ def _scenario_lines(profile: str, scenario: Scenario) -> Iterator[str]:
     count, megabytes = scenario.participants, scenario.bytes / 1e6
     hosts = _printing.counted(scenario.host_count, "host")
     cores = _printing.counted(scenario.cores, "core")
-    who = f"{count} participants of profile {profile} on {hosts} of {cores}"
+    who = f"{count} participants on {hosts} of {cores}, profile {profile}"
     sizes = "/".join(map(str, scenario.sizes))
     frames = "/".join(map(str, map(scenario.frames, scenario.sizes)))
     yield f"{who}, {_printing.percent(scenario.loss)} of all frames lost"

@@ -6,7 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._times import said
-from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli import _help, _network, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._times import end
 from pqsec_pki.cli.request import folder_option
@@ -33,14 +33,7 @@ from pqsec_pki.enrolment import rollback as roll_back
     },
 )
 @click.argument("bundle", type=_settings.FILE)
-@click.option(
-    "--ca-fingerprint",
-    "fingerprints",
-    multiple=True,
-    metavar="ROLE:SHA256",
-    help="Trust this CA as identity, permissions or countersigner; one option for each CA."
-    " [default: the CAs that are trusted here]",
-)
+@_network.fingerprints_option
 @click.option(
     "--trust-first",
     is_flag=True,

@@ -56,7 +56,7 @@ def schema(writers: tuple[str, ...], readers: tuple[str, ...]) -> None:
     },
     exit_codes={
         0: "the ledger is there, with all lines",
-        2: "TO is no address, or it has a password",
+        2: "TO is not an address, or it has a password",
         3: (
             "the database does not answer, has another ledger or lacks the tables; or the ledger is"
             " there already; or the keystore cannot be changed"

@@ -138,11 +138,17 @@ def _refuse_options(output: Path | None, key: str | None, *, init: bool, force: 
             "-o and --key belong together, without --init",
             hint="-o plan.json --key KEY writes a proposal that this key signs",
         )
-    if output and output.suffix != PROPOSAL_SUFFIX:
+    if output:
+        refuse_output(output, force=force)
+
+
+def refuse_output(output: Path, *, force: bool) -> None:
+    """UsageError for a file that `pqsec apply` would not take as a plan; ExistsError."""
+    if output.suffix != PROPOSAL_SUFFIX:
         raise UsageError(
             f"{output} must end in {PROPOSAL_SUFFIX}", hint="`pqsec apply` knows plans by that"
         )
-    if output and not force:
+    if not force:
         _files.refuse_existing(output)
 
 
@@ -161,8 +167,7 @@ def _write(
     **choices: bool,
 ) -> None:
     """Write the proposal with the approval of the holder of `signer`."""
-    policy = review.keystore.approvals
-    name = _approver.name_in(policy, signer) if policy else ""
+    name = _approver.name_in(review.keystore.approvals, signer)
     folder = output.absolute().parent
     proposal = propose(review, proposer=name, validity=validity, beside=folder, **choices)
     first = approve(proposal.digest, name, signer, now=review.now)

@@ -9,9 +9,8 @@ from pqsec_pki import _files
 from pqsec_pki.approvals import approve, proposal_file
 from pqsec_pki.cli import _approver, _help, _printing, _proposed, _settings
 from pqsec_pki.cli.approve import lines
-from pqsec_pki.cli.plan import PROPOSAL_SUFFIX
+from pqsec_pki.cli.plan import refuse_output
 from pqsec_pki.domain import propose_command
-from pqsec_pki.errors import UsageError
 
 
 @click.command(
@@ -69,17 +68,11 @@ def propose(  # noqa: PLR0913 -- one for each option, by name
     words, the files that they name, and this state of the keystore, and counts as an approval by
     its maker. `pqsec approve` approves it, and `pqsec apply` runs the command, once.
     """
-    if output.suffix != PROPOSAL_SUFFIX:
-        raise UsageError(
-            f"{output} must end in {PROPOSAL_SUFFIX}", hint="`pqsec apply` knows plans by that"
-        )
-    if not force:
-        _files.refuse_existing(output)
+    refuse_output(output, force=force)
     keystore, now = _settings.open_keystore(), _settings.now()
     review = _proposed.review_of(words, keystore)
     signer = _approver.key_at(key, key_passphrase_file)
-    policy = keystore.approvals
-    name = _approver.name_in(policy, signer) if policy else ""
+    name = _approver.name_in(keystore.approvals, signer)
     proposal = propose_command(review, keystore, proposer=name, now=now, validity=validity)
     first = approve(proposal.digest, name, signer, now=now)
     _files.write(output, proposal_file(proposal, first), force=force)

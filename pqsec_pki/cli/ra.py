@@ -6,13 +6,13 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.algorithms import PublicKey, load_public_key, unpem
+from pqsec_pki.algorithms import PublicKey, public_key_from_pem
 from pqsec_pki.approvals import Covered, RegistrationGrant
 from pqsec_pki.cli import _formats, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.plan import DEFAULT_FILE
 from pqsec_pki.domain import Desired, read_domain, role_value
-from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, located, meant
+from pqsec_pki.errors import KeystoreError, UsageError, located, meant
 from pqsec_pki.keystore import Registration, SigningCa, enrolled_by, registrations
 from pqsec_pki.lifecycle import add_registration, end_registrations
 
@@ -147,7 +147,7 @@ def add(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         authority=name,
         key=_public_key(key),
         names=patterns,
-        roles=_roles(read_domain(file), roles),
+        roles=roles_in(read_domain(file), roles),
         begins=start,
         ends=start + validity,
         longest=longest,
@@ -240,13 +240,11 @@ def revoke(names: tuple[str, ...], passphrase_file: Path | None) -> None:
 
 def _public_key(path: Path) -> PublicKey:
     with located(path):
-        match unpem(_files.read(path), "public key"):
-            case [("PUBLIC KEY", spki)]:
-                return load_public_key(spki)
-        raise MalformedError("it must be one PEM block, PUBLIC KEY")
+        return public_key_from_pem(_files.read(path))
 
 
-def _roles(desired: Desired, names: tuple[str, ...]) -> dict[str, object]:
+def roles_in(desired: Desired, names: tuple[str, ...]) -> dict[str, object]:
+    """The roles as values of a grant; UsageError for one that is not there, or cannot be in it."""
     for name in names:
         if name not in desired.roles:
             raise UsageError(

@@ -7,25 +7,20 @@ import click
 
 from pqsec_pki._times import said
 from pqsec_pki.cli import _formats, _help, _printing, _settings
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.cli.serve import config_option
+from pqsec_pki.keystore import Entry, Keystore
 from pqsec_pki.server import (
     APPROVAL,
     REFUSAL,
     WaitingRequest,
     decide,
     demanded,
+    end_of,
+    open_approvals,
     read_settings,
     replacing,
 )
 
-_config = click.option(
-    "--config",
-    "file",
-    required=True,
-    type=_settings.FILE,
-    metavar="FILE",
-    help="The server's configuration: serve.yaml.",
-)
 _COLUMNS = ("name", "sha256", "address", "received", "asked", "replaces")
 _ids = click.argument("ids", nargs=-1, required=True, metavar="SHA256...")
 
@@ -45,11 +40,14 @@ def requests() -> None:
         3: "the server's folder or the keystore cannot be read",
     },
 )
-@_config
+@config_option
 @_formats.option()
 @_settings.command_options
 def list_(file: Path, form: str) -> None:
-    """List the requests that wait, oldest first.
+    """List the requests that wait, oldest first, and those that were approved.
+
+    A request ends 30 days after its robot sent it last; an approval 30 days after it was given, if
+    the robot did not fetch its certificate.
 
     Compare the SHA-256 with what the robot shows (`pqsec enrol`, or `pqsec inspect request.csr`):
     anybody can send a request, for any name. REPLACES is `its key` if the participant has a
@@ -57,9 +55,16 @@ def list_(file: Path, form: str) -> None:
     """
     _formats.chosen(form)
     settings = read_settings(file)
-    found = settings.pending.all()
-    replaced = replacing(Keystore.open(settings.keystore), found, now=_settings.now())
-    _print(found, replaced, "", form)
+    found, now = settings.waiting.all(), _settings.now()
+    keystore = Keystore.open(settings.keystore)
+    with keystore.open_ledger() as ledger:
+        approved = open_approvals(ledger, now)
+    lines, values = _listed(found, replacing(keystore, found, now=now))
+    if approved:
+        rows = [(*_sent(each), said(each.made_at), said(end_of(each))) for each in approved]
+        lines += ["", *_printing.table(("NAME", "SHA-256", "FROM", "APPROVED", "UNTIL"), rows)]
+    value = {"requests": values, "approved": [_approval(each) for each in approved]}
+    _formats.emit(form, value, lines, columns=_COLUMNS, items=values)
 
 
 @requests.command(
@@ -76,7 +81,7 @@ def list_(file: Path, form: str) -> None:
     },
 )
 @_ids
-@_config
+@config_option
 @_settings.command_options
 def approve(ids: tuple[str, ...], file: Path) -> None:
     """Approve requests. If the robot has a certificate for another key, it is replaced.
@@ -101,10 +106,14 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
     },
 )
 @_ids
-@_config
+@config_option
 @_settings.command_options
 def refuse(ids: tuple[str, ...], file: Path) -> None:
-    """Refuse requests, which are removed; the ledger gets the decision."""
+    """Refuse requests, which are removed; the ledger gets the decision.
+
+    A robot that enrols asks again with `pqsec enrol --force`; one that renews, the next time that
+    `pqsec renew --from` runs. `pqsec revoke` ends that.
+    """
     _decide(ids, file, REFUSAL)
 
 
@@ -113,8 +122,9 @@ def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
     keystore = Keystore.open(settings.keystore, to_change=True)
     now = _settings.now()
     done = decide(keystore, settings, ids, kind, now=now)
-    replaced = replacing(keystore, done, now=now)
-    _print(done, replaced, "approved" if kind == APPROVAL else "refused")
+    word = "approved" if kind == APPROVAL else "refused"
+    lines, values = _listed(done, replacing(keystore, done, now=now), word)
+    _printing.emit({"requests": values}, lines)
     if kind == APPROVAL and (words := demanded(keystore.approvals)):
         _printing.note(
             f"{words}: now `pqsec plan {settings.domain} -o plan.json --key KEY` (--new-keys, if a"
@@ -122,12 +132,10 @@ def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
         )
 
 
-def _print(
-    found: Sequence[WaitingRequest],
-    replaced: Collection[str],
-    word: str,
-    form: str = _formats.TABLE,
-) -> None:
+def _listed(
+    found: Sequence[WaitingRequest], replaced: Collection[str], word: str = ""
+) -> tuple[list[str], list[dict[str, object]]]:
+    """A table of the requests, and their values for programs."""
     rows, values = [], []
     for each in found:
         replaces = each.sha256 in replaced
@@ -136,5 +144,13 @@ def _print(
         rows.append((*row, word) if word else row)
         values.append({**each.to_json(), "replaces": replaces})
     heads = ("NAME", "SHA-256", "FROM", "RECEIVED", "REPLACES", *(("STATE",) if word else ()))
-    lines = _printing.table(heads, rows) if rows else ["no request waits"]
-    _formats.emit(form, {"requests": values}, lines, columns=_COLUMNS, items=values)
+    return list(_printing.table(heads, rows)) if rows else ["no request waits"], values
+
+
+def _sent(approval: Entry) -> tuple[str, str, str]:
+    return approval.name, approval.sha256, approval.details["address"]
+
+
+def _approval(approval: Entry) -> dict[str, object]:
+    values: tuple[object, ...] = (*_sent(approval), approval.made_at, end_of(approval))
+    return dict(zip(("name", "sha256", "address", "approved", "until"), values, strict=True))

@@ -8,6 +8,15 @@ from pqsec_pki.cli import _help, _passphrases, _printing, _progress, _settings
 from pqsec_pki.est import needs_extra
 from pqsec_pki.server import begin_server, read_settings
 
+config_option = click.option(
+    "--config",
+    "file",
+    required=True,
+    type=_settings.FILE,
+    metavar="FILE",
+    help="The server's configuration: serve.yaml.",
+)
+
 
 @_help.command(
     examples={
@@ -25,14 +34,7 @@ from pqsec_pki.server import begin_server, read_settings
         3: "a file cannot be read, an address is in use, or a process ended by itself",
     },
 )
-@click.option(
-    "--config",
-    "file",
-    required=True,
-    type=_settings.FILE,
-    metavar="FILE",
-    help="The configuration: serve.yaml.",
-)
+@config_option
 @click.option(
     "--init",
     "url",

@@ -103,10 +103,8 @@ def _sign(  # noqa: PLR0913 -- one for each option
     embed_certificate: bool,
     force: bool,
 ) -> None:
-    document = read(file)
+    document = document_at(file, kind)
     with located(file):
-        if file.suffix in {".yaml", ".yml"}:
-            document = _rendered(kind, document)
         check(document)
     goal = output or file.with_suffix(".p7s")
     if not force:  # before the passphrase is asked for
@@ -124,6 +122,13 @@ def _sign(  # noqa: PLR0913 -- one for each option
     )
     _note_other_xml(goal, document)
     _printing.emit({"signed": goal, "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
+
+
+def document_at(file: Path, kind: Kind) -> bytes:
+    """The document in the file as XML; errors name the file."""
+    document = read(file)
+    with located(file):
+        return _rendered(kind, document) if file.suffix in {".yaml", ".yml"} else document
 
 
 def _note_other_xml(goal: Path, document: bytes) -> None:

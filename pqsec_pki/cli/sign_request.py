@@ -1,6 +1,7 @@
 """pqsec sign-request: requests to CAs on an offline machine, and their answers."""
 
 import hashlib
+from collections.abc import Mapping
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from pqsec_pki.cli._participant_options import (
     participant_options,
 )
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.domain import OrderedIssue, ordered_issue, perform_order
+from pqsec_pki.domain import OrderedIssue, ordered_issue, perform_order, uncovered
 from pqsec_pki.enrolment import (
     MAX_ARCHIVE,
     NAMELESS,
@@ -30,7 +31,7 @@ from pqsec_pki.enrolment import (
     sign,
 )
 from pqsec_pki.errors import UsageError, VerificationError, located
-from pqsec_pki.keystore import matching
+from pqsec_pki.keystore import Keystore
 
 _force = click.option("--force", is_flag=True, help="Replace existing files or participants.")
 
@@ -113,12 +114,13 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         raise UsageError("two requests have the same name")
     csrs = tuple(each for _, each in found)
     if grant and key is not None:
-        limits = _grant(grant)
-        _refuse_rights()
+        limits, given = _grant(grant), _settings.given_options()
+        _refuse_rights(given)
         signer = _approver.key_at(key, key_passphrase_file)
-        validity = wanted["validity"] if _is_given("validity") else limits.longest
-        _refuse_uncovered(names, validity, limits)
+        validity = wanted["validity"] if "validity" in given else limits.longest
         asked = ordered(csrs, limits, signer, role, validity=validity, now=_settings.now())
+        if asked.order and (why := next(uncovered(asked.order.items, limits), None)):
+            raise UsageError(why)
     else:
         specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
         asked = SignRequest(csrs, tuple(specs))
@@ -196,20 +198,15 @@ def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     """
     keystore = _settings.open_keystore(to_change=not show)
     asked = _read(file)
-    if asked.order and (force or after_revocation or compromised_keys):
-        raise UsageError(
-            "an order enrols new participants with new keys, and nothing else",
-            hint="--force, --after-revocation and --reuse-compromised-key are for other requests",
-        )
-    by: OrderedIssue | None = None
+    allowed = {
+        "force": force,
+        "after_revocation": after_revocation,
+        "compromised_keys": compromised_keys,
+    }
     with located(file):
-        if sha256 and sha256.lower() != asked.sha256:
-            raise VerificationError(f"its SHA-256 is {asked.sha256}")
-        if ra_only and not asked.order:
-            raise VerificationError("no registration authority ordered this")
+        _refuse_other(asked, sha256, ra_only=ra_only, allowed=any(allowed.values()))
         asked.admitted(keystore.profile, patterns)
-        if asked.order:
-            by = ordered_issue(asked, keystore, now=_settings.now(), anchors=anchor)
+        by = _order_of(asked, keystore, anchor)
     if show:
         _show(asked, by)
         return
@@ -222,20 +219,10 @@ def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if by:
         answer = perform_order(asked, keystore, authorities, now=_settings.now(), anchors=anchor)
     else:
-        answer = sign(
-            asked,
-            keystore,
-            authorities,
-            now=_settings.now(),
-            patterns=patterns,
-            force=force,
-            after_revocation=after_revocation,
-            compromised_keys=compromised_keys,
-        )
+        now = _settings.now()
+        answer = sign(asked, keystore, authorities, now=now, patterns=patterns, **allowed)
     with _printing.with_hint("the certificates are issued: run it again with another -o"):
-        if not (
-            by and is_there(output) and same_answers(_files.read(output, limit=MAX_ARCHIVE), answer)
-        ):
+        if not (by and _is_answered(output, answer)):
             _files.write(output, answer, force=force)
     names = [spec.name for spec in asked.specs]
     value = {"answer": output, "names": names, "request_sha256": asked.sha256}
@@ -311,34 +298,44 @@ def _read(path: Path) -> SignRequest:
         return SignRequest.from_bytes(data)
 
 
+def _refuse_other(asked: SignRequest, sha256: str | None, *, ra_only: bool, allowed: bool) -> None:
+    """VerificationError if it is not the file that is expected, or not an order.
+
+    UsageError for an order, if options allow what no order has.
+    """
+    if asked.order and allowed:
+        raise UsageError(
+            "an order enrols new participants with new keys, and nothing else",
+            hint="--force, --after-revocation and --reuse-compromised-key are for other requests",
+        )
+    if sha256 and sha256.lower() != asked.sha256:
+        raise VerificationError(f"its SHA-256 is {asked.sha256}")
+    if ra_only and not asked.order:
+        raise VerificationError("no registration authority ordered this")
+
+
+def _order_of(asked: SignRequest, keystore: Keystore, anchors: Path | None) -> OrderedIssue | None:
+    if not asked.order:
+        return None
+    return ordered_issue(asked, keystore, now=_settings.now(), anchors=anchors)
+
+
+def _is_answered(output: Path, answer: bytes) -> bool:
+    """Whether an earlier answer with the same files is there."""
+    return is_there(output) and same_answers(_files.read(output, limit=MAX_ARCHIVE), answer)
+
+
 def _grant(path: Path) -> RegistrationGrant:
     with located(path):
         return SignedGrant.from_file(_files.read(path, limit=MAX_GRANT)).grant
 
 
-def _refuse_uncovered(names: list[str], validity: timedelta, grant: RegistrationGrant) -> None:
-    """UsageError for what the CAs would refuse, as the grant does not cover it."""
-    for name in names:
-        if not any(matching(pattern, [name]) for pattern in grant.names):
-            raise UsageError(f"{name}: the grant is for {', '.join(grant.names)}")
-    if len(names) > grant.most:
-        raise UsageError(f"{len(names)} participants, and the grant is for {grant.most}")
-    if validity > grant.longest:
-        raise UsageError(f"{_length(validity)}, and the grant allows {_length(grant.longest)}")
-
-
-def _is_given(option: str) -> bool:
-    source = click.get_current_context().get_parameter_source(option)
-    return source is click.core.ParameterSource.COMMANDLINE
-
-
-def _refuse_rights() -> None:
+def _refuse_rights(given: Mapping[str, str]) -> None:
     """UsageError for an option that names rights: those of a role are in the grant."""
-    rights = [each for each in (*TOPIC_NAMES, "policy", "domains") if _is_given(each)]
+    rights = [given[each] for each in (*TOPIC_NAMES, "policy", "domains") if each in given]
     if rights:
         raise UsageError(
-            f"--{rights[0].rstrip('s').replace('_', '-')} cannot be ordered: the grant has the"
-            " rights of each role",
+            f"{rights[0]} cannot be ordered: the grant has the rights of each role",
             hint="--role names one of them",
         )
 

@@ -13,10 +13,10 @@ from pqsec_pki.credentials import (
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
     TrustAnchors,
-    only_certificate,
 )
 from pqsec_pki.documents import validate
 from pqsec_pki.errors import PqsecError, VerificationError, located
+from pqsec_pki.keystore import load_certificate
 from pqsec_pki.report import refuse_changed, signature_path
 from pqsec_pki.smime import FoundSignature, Require, Verified
 
@@ -88,7 +88,7 @@ def _of_keystore(alt_ca: Path | None) -> tuple[TrustAnchors, dict[str, Path]]:
     keystore = _settings.open_keystore()
     anchors = keystore.anchors
     if alt_ca:
-        anchors = replace(anchors, countersigner=_certificate(alt_ca))
+        anchors = replace(anchors, countersigner=load_certificate(alt_ca))
     return anchors, _paths(keystore.permissions_ca_path, alt_ca)
 
 
@@ -97,8 +97,8 @@ def _of_files(ca: Path, alt_ca: Path | None) -> tuple[TrustAnchors, dict[str, Pa
     alt_ca = alt_ca or _beside(ca)
     anchors = TrustAnchors(
         identity_cas=(),
-        permissions_ca=_certificate(ca),
-        countersigner=_certificate(alt_ca) if alt_ca else None,
+        permissions_ca=load_certificate(ca),
+        countersigner=load_certificate(alt_ca) if alt_ca else None,
     )
     _note_version_1(anchors.permissions_ca, ca)
     return anchors, _paths(ca, alt_ca)
@@ -116,10 +116,6 @@ def _beside(ca: Path) -> Path | None:
 
 def _second(ca: Path) -> Path:
     return ca.with_name(ca.name.replace(".cert.pem", ".alt.cert.pem"))
-
-
-def _certificate(path: Path) -> Certificate:
-    return only_certificate(read(path), str(path))
 
 
 def _note_version_1(certificate: Certificate, path: Path) -> None:

@@ -41,7 +41,9 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
         "Show who may call a ROS 2 service, and who serves it": (
             "pqsec who-may --ros-service /reset"
         ),
-        "Show what a group can send to whom": ("pqsec who-may --matrix --participant '/fleet/*'"),
+        "Show what a group can send, and which participants receive it": (
+            "pqsec who-may --matrix --participant '/fleet/*'"
+        ),
         "Draw a graph": "pqsec who-may --format dot",
         "Write a table for a spreadsheet": "pqsec who-may --format csv",
     },
@@ -98,7 +100,7 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
 @click.option(
     "--matrix",
     is_flag=True,
-    help="Show who can send what to whom: a row for each sender and its receivers.",
+    help="Show what each participant can send: a row for each sender and its receivers.",
 )
 @click.option(
     "--domain", "domains", help="Show these DDS domains: 0, or 0-3, or 0,5.  [default: all]"

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         PERMISSIONS_CA,
         REQUEST,
         REVOCATION_LIST,
+        SIX,
     )
     from pqsec_pki.credentials.verification import (
         VerifiedCredentials,
@@ -71,6 +72,7 @@ __all__ = [
     "PROOF",
     "REQUEST",
     "REVOCATION_LIST",
+    "SIX",
     "Credentials",
     "SignedDocument",
     "TrustAnchors",

@@ -6,22 +6,18 @@ another one. Values are cached, since all participants of a domain have the same
 
 from functools import lru_cache
 
-from pqsec_pki.algorithms import unpem
+from pqsec_pki.algorithms import exact_der, unpem
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.errors import MalformedError, located
+
+_MAX_REMEMBERED = 64 << 10
+"""Bytes; larger files are read each time."""
 
 
 def certificates_in(data: bytes, where: str) -> tuple[Certificate, ...]:
     """All certificates in PEM `data`; MalformedError, naming `where`, if stacks could differ."""
     with located(where):
-        blocks = unpem(data, "certificate")
-        if not blocks:
-            raise MalformedError("no certificate in PEM")
-        if len(blocks) != data.count(b"-----BEGIN"):
-            raise MalformedError("not certificates in PEM, and nothing else")
-        if any(label != "CERTIFICATE" for label, _ in blocks):
-            raise MalformedError("not certificates alone")
-        return tuple(_certificate(der) for _, der in blocks)
+        return _remembered(data) if len(data) <= _MAX_REMEMBERED else _certificates(data)
 
 
 def only_certificate(data: bytes, where: str) -> Certificate:
@@ -40,10 +36,21 @@ def only_list(data: bytes, where: str) -> RevocationList:
         return _list(data)
 
 
-@lru_cache(maxsize=64)
-def _certificate(der: bytes) -> Certificate:
-    """A certificate, cached: all participants of a domain have the same CAs."""
-    return Certificate.shared(der)
+def _certificates(data: bytes) -> tuple[Certificate, ...]:
+    if der := exact_der("CERTIFICATE", data):  # as pqsec wrote it, so all readers agree
+        return (Certificate.shared(der),)
+    blocks = unpem(data, "certificate")
+    if not blocks:
+        raise MalformedError("no certificate in PEM")
+    if len(blocks) != data.count(b"-----BEGIN"):
+        raise MalformedError("not certificates in PEM, and nothing else")
+    if any(label != "CERTIFICATE" for label, _ in blocks):
+        raise MalformedError("not certificates alone")
+    return tuple(Certificate.shared(der) for _, der in blocks)
+
+
+_remembered = lru_cache(maxsize=64)(_certificates)
+"""The certificates in a file, cached: all participants of a domain have the same CAs."""
 
 
 @lru_cache(maxsize=8)

@@ -124,7 +124,12 @@ class TrustAnchors:
 
     def problems(self, now: datetime) -> tuple[Problem, ...]:
         """Problems of the CAs themselves, and of a CA that has two roles."""
-        return (*self._role_problems, *self._authority_problems(now))
+        found = self._problems_at.get(now)
+        if found is None:
+            found = (*self._role_problems, *self._authority_problems(now))
+            self._problems_at.clear()  # one time is asked about, for all participants
+            self._problems_at[now] = found
+        return found
 
     def signer_problems(self, now: datetime) -> tuple[Problem, ...]:
         """The problems of the CAs that sign documents."""
@@ -243,6 +248,10 @@ class TrustAnchors:
             raise VerificationError(
                 *(each.of(file) for each in problems), hint=error.hint
             ) from error
+
+    @cached_property
+    def _problems_at(self) -> dict[datetime, tuple[Problem, ...]]:
+        return {}
 
     @cached_property
     def _role_problems(self) -> tuple[Problem, ...]:

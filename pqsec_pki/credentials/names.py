@@ -15,6 +15,8 @@ KEYS = (KEY, ALT_KEY)
 """Private keys, always with mode 0600."""
 NEEDED = (CERTIFICATE, PERMISSIONS, GOVERNANCE, IDENTITY_CA, PERMISSIONS_CA)
 """Required files without the keys, which may be only on the participant's robot."""
+SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
+"""The files that every stack needs; ROS 2 does not report which one is missing."""
 CA_FILES = (IDENTITY_CA, PERMISSIONS_CA, PERMISSIONS_ALT_CA)
 FILES = (*NEEDED, PERMISSIONS_ALT_CA, REVOCATION_LIST, *KEYS)
 """All files of an enclave that a stack reads; never a CA's private key."""

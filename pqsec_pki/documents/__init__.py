@@ -11,7 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.documents import ros, sros2
-    from pqsec_pki.documents._schema import Kind, validate
+    from pqsec_pki.documents._schema import Kind, load_schemas, validate
     from pqsec_pki.documents._xml import with_line_feeds
     from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
@@ -63,6 +63,7 @@ __all__ = [
     "governance_from_yaml",
     "governance_to_yaml",
     "lasting",
+    "load_schemas",
     "new_governance",
     "new_permissions",
     "parse_subject",

@@ -62,11 +62,11 @@ _OTHERS = (
      "is not the root element <dds>, which has no namespace"),
 )  # fmt: skip
 _RULES = tuple(
-    (re.compile(pattern, re.DOTALL), words, code)
+    (pattern, words, code)
     for code, rows in ((Code.ELEMENT_MISPLACED, _MISPLACED), (Code.OTHER, _OTHERS))
     for pattern, words in rows
 )
-_PLACE = re.compile(r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: ")
+_PLACE = r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: "
 
 
 def validate(xml: bytes) -> Kind:
@@ -109,6 +109,12 @@ def _check(root: "_Element", kind: Kind) -> None:
     raise InvalidDocumentError(problems)
 
 
+def load_schemas() -> None:
+    """Load lxml and both schemas, so that processes forked later have them."""
+    for kind in Kind:
+        _schema(kind)
+
+
 @cache
 def _schema(kind: Kind) -> "XMLSchema":
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
@@ -119,7 +125,7 @@ def _schema(kind: Kind) -> "XMLSchema":
 def _problems(log: "Iterable[_LogEntry]") -> Iterator[Problem]:
     entries = iter(log)
     for entry in islice(entries, MAX_PROBLEMS):
-        found = _PLACE.match(entry.message)
+        found = re.match(_PLACE, entry.message)
         message, code = _plain(entry.message[found.end() :] if found else entry.message)
         element = shown(found["name"]) if found else None
         yield Problem(message, code, line=entry.line, element=element)
@@ -129,7 +135,7 @@ def _problems(log: "Iterable[_LogEntry]") -> Iterator[Problem]:
 
 def _plain(message: str) -> tuple[str, Code]:
     for pattern, words, code in _RULES:
-        if found := pattern.fullmatch(message):
+        if found := re.fullmatch(pattern, message, re.DOTALL):
             terms = {name: _term(term) for name, term in found.groupdict().items()}
             return words.format_map(terms), code
     return shown(message, limit=200), Code.OTHER

@@ -5,10 +5,7 @@ SROS2 accepts patterns as names, so names are not checked here, unlike in `ros`.
 
 from collections.abc import Callable
 
-from pqsec_pki.documents.ros import Endpoints
-
-_SERVICES = ("cancel_goal", "get_result", "send_goal")
-_ACTION_TOPICS = ("feedback", "status")
+from pqsec_pki.documents.ros import ACTION_SERVICES, ACTION_TOPICS, Endpoints
 
 
 def _request_side(name: str) -> Endpoints:
@@ -16,8 +13,8 @@ def _request_side(name: str) -> Endpoints:
 
 
 def _call(name: str) -> Endpoints:
-    inside = [f"{name}/_action/{service}" for service in _SERVICES]
-    topics = tuple(f"rt{name}/_action/{topic}" for topic in _ACTION_TOPICS)
+    inside = [f"{name}/_action/{service}" for service in ACTION_SERVICES]
+    topics = tuple(f"rt{name}/_action/{topic}" for topic in ACTION_TOPICS)
     replies = tuple(f"rr{each}Reply" for each in inside)
     return Endpoints(tuple(f"rq{each}Request" for each in inside), (*replies, *topics))
 

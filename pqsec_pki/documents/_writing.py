@@ -39,17 +39,25 @@ _ESCAPES |= str.maketrans({"\t": "&#9;", "\n": "&#10;", "\r": "&#13;"})
 
 def governance_xml(governance: "Governance") -> bytes:
     """The document. UsageError for a character that XML does not allow."""
+    return _valid(governance_text(governance))
+
+
+def governance_text(governance: "Governance") -> bytes:
+    """The document, not yet validated: that takes lxml."""
     rules = map(_domain_rule, governance.domain_rules)
     return _document(Kind.GOVERNANCE, ("domain_access_rules", rules))
 
 
 def permissions_xml(permissions: "Permissions") -> bytes:
     """The document. UsageError as above, and for a time that no stack understands."""
-    return _document(Kind.PERMISSIONS, ("permissions", map(_grant, permissions.grants)))
+    return _valid(_document(Kind.PERMISSIONS, ("permissions", map(_grant, permissions.grants))))
 
 
 def _document(kind: Kind, content: Element) -> bytes:
-    xml = _DOCUMENT.format(kind=kind, content="".join(_lines(content, "  "))).encode()
+    return _DOCUMENT.format(kind=kind, content="".join(_lines(content, "  "))).encode()
+
+
+def _valid(xml: bytes) -> bytes:
     validate(xml)
     return xml
 

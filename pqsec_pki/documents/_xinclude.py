@@ -5,14 +5,13 @@ include: `xpointer(/profile/*)`. The rest of the standard is refused: it could r
 or the network. Files are opened here, never by libxml2.
 """
 
-import os
 import re
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import read
+from pqsec_pki._files import read, resolved
 from pqsec_pki.documents._xml import parse, problem
 from pqsec_pki.errors import InvalidDocumentError, located, shown
 
@@ -42,13 +41,8 @@ def assembled(path: Path, *, root: Path | None = None) -> "_Element":
     FileError, MalformedError, and InvalidDocumentError for includes that are not supported.
     """
     data = read(path)  # before its folder is resolved: the file may not exist
-    folder = _resolved(root) if root else _resolved(path).parent
-    return _Assembly(folder).document(path, data, (_resolved(path),))
-
-
-def _resolved(path: Path) -> Path:
-    """The path with links resolved; Path.resolve would raise for circular links."""
-    return Path(os.path.realpath(path))
+    folder = resolved(root) if root else resolved(path).parent
+    return _Assembly(folder).document(path, data, (resolved(path),))
 
 
 @dataclass(slots=True)

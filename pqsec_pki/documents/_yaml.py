@@ -25,6 +25,7 @@ MAX_DOCUMENT = 8 << 20
 """Bytes; the same limit as for an XML document."""
 MAX_DEPTH = 24
 """Nested lists and mappings; a policy needs eleven levels."""
+_TOO_DEEP = f"more than {MAX_DEPTH} nested lists and mappings"
 MAX_ITEMS = 500_000
 """Values in a document. A policy of 10 000 rules has about 150 000."""
 
@@ -110,6 +111,8 @@ def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
     if "alias" in f"{reason} {getattr(error, 'context', '')}":
         reason = "a name with * at its start must be in quotes, as '*' or '*/status'"
+    if "nesting depth" in reason:  # PyYAML 6.0.4 looks ahead, and has a limit of its own
+        return refused(mark.line + 1 if mark else None, _TOO_DEEP)
     line = text.splitlines()[mark.line :][:1] if mark else []
     if any("\t" in each[: len(each) - len(each.lstrip())] for each in line):
         reason = "a tab: indent YAML with spaces only"
@@ -169,7 +172,7 @@ class _Grower:
         self._open.append(item)
         self._keys.append(None)
         if len(self._open) > MAX_DEPTH:
-            raise refused(item.line, f"more than {MAX_DEPTH} nested lists and mappings")
+            raise refused(item.line, _TOO_DEEP)
 
     def _check(self, event: Any, line: int) -> None:
         self._count += 1

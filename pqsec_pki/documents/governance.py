@@ -1,11 +1,12 @@
 """The governance document: how a domain and its topics are protected."""
 
-from dataclasses import field
+from dataclasses import field, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading, _schema, _writing
+from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.errors import UsageError
 
@@ -22,7 +23,21 @@ class ProtectionKind(StrEnum):
     SIGN_WITH_ORIGIN_AUTHENTICATION = "SIGN_WITH_ORIGIN_AUTHENTICATION"
     ENCRYPT_WITH_ORIGIN_AUTHENTICATION = "ENCRYPT_WITH_ORIGIN_AUTHENTICATION"
 
+    @property
+    def encrypts(self) -> bool:
+        """Whether others than the receivers cannot read the content."""
+        return self.startswith("ENCRYPT")
 
+    @property
+    def authenticates_origin(self) -> bool:
+        """Whether a receiver knows which participant sent it."""
+        return self.endswith("_WITH_ORIGIN_AUTHENTICATION")
+
+
+_MAX_USUAL, _DIGITS = 64 << 10, 9
+"""Octets in which the domains of a usual document end, and digits of a domain id in it."""
+_RULE_LINE, _TO_TOPICS = 4, 9
+"""The line of its rule, and the lines from there to its topics, without those of the domains."""
 _PAYLOAD_KINDS = {ProtectionKind.NONE, ProtectionKind.SIGN, ProtectionKind.ENCRYPT}
 
 
@@ -115,8 +130,7 @@ class Governance:
         InvalidDocumentError if it is not XML, or breaks its schema,
         or names a domain id of more than 31 bits.
         """
-        [rules] = _schema.read(xml, _schema.Kind.GOVERNANCE)
-        return cls(domain_rules=tuple(map(_domain_rule, rules)))
+        return cls(domain_rules=_usual_rules(xml) or _rules_in_elements(xml))
 
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
@@ -128,6 +142,32 @@ class Governance:
     def rule_for(self, domain: int) -> DomainRule | None:
         """The rule that governs `domain`: the first that names it (9.4.1.2.7)."""
         return next((rule for rule in self.domain_rules if domain in rule.domains), None)
+
+
+def _usual_rules(xml: bytes) -> tuple[DomainRule, ...]:
+    """The rules of a document that is, octet by octet, what pqsec writes by default; else none.
+
+    So the first participant of a domain does not wait for lxml.
+    """
+    xml = with_line_feeds(xml)
+    _, _, rest = xml[:_MAX_USUAL].partition(b"<domains>\n")
+    ids = rest.partition(b"</domains>")[0].splitlines()[:-1]
+    numbers = [each.strip().removeprefix(b"<id>").removesuffix(b"</id>") for each in ids]
+    if not numbers or not all(each.isdigit() and len(each) <= _DIGITS for each in numbers):
+        return ()
+    usual = Governance.protected(DomainSet(parts=tuple(map(int, numbers))))
+    if _writing.governance_text(usual) != xml:
+        return ()
+    [rule] = usual.domain_rules
+    [topics] = rule.topic_rules
+    topics = replace(topics, line=_RULE_LINE + len(numbers) + _TO_TOPICS)
+    return (replace(rule, topic_rules=(topics,), line=_RULE_LINE),)
+
+
+def _rules_in_elements(xml: bytes) -> tuple[DomainRule, ...]:
+    """The rules, by the XML parser and the schema, whatever the form."""
+    [rules] = _schema.read(xml, _schema.Kind.GOVERNANCE)
+    return tuple(map(_domain_rule, rules))
 
 
 # The schema fixes the number and order of the children, so they are found by position.

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Self
 from weakref import WeakValueDictionary
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.documents import _reading, _schema, _writing
+from pqsec_pki.documents import _plain, _reading, _schema, _writing
 from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.subject import parse_subject, same_subject
@@ -124,6 +124,8 @@ class Permissions:
     """A permissions document (DDS-Security 1.1, 9.4.1.3)."""
 
     grants: tuple[Grant, ...]
+    is_plain: bool = field(default=False, init=False, compare=False, repr=False)
+    """Whether it was read from a text in the form in which pqsec writes most of them."""
 
     def __post_init__(self) -> None:
         if not self.grants:
@@ -148,8 +150,9 @@ class Permissions:
         xml = with_line_feeds(xml)
         found = _IN_USE.get(xml)
         if found is None:
-            [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
-            found = _IN_USE[xml] = cls(grants=tuple(map(_grant, grants)))
+            plain = _plain.read(xml)
+            found = _of_plain(plain) if plain else permissions_in_elements(xml)
+            _IN_USE[xml] = found
         return found
 
     def to_xml(self) -> bytes:
@@ -188,7 +191,36 @@ def _least_rule(
     return PermissionRule.deny_all(domains)
 
 
-# The schema fixes the number and order of the children, so they are found by position.
+def _of_plain(text: _plain.PlainText) -> Permissions:
+    actions = ((text.publish, text.publish_line), (text.subscribe, text.subscribe_line))
+    publish, subscribe = (
+        (Criteria(topics=topics, line=line),) if topics else () for topics, line in actions
+    )
+    rule = PermissionRule(
+        allow=True,
+        domains=DomainSet(parts=text.domains),
+        publish=publish,
+        subscribe=subscribe,
+        line=_plain.RULE_LINE,
+    )
+    grant = Grant(
+        name=text.name,
+        subject_name=text.subject,
+        not_before=text.not_before,
+        not_after=text.not_after,
+        rules=(rule,),
+        line=_plain.GRANT_LINE,
+    )
+    found = Permissions(grants=(grant,))
+    object.__setattr__(found, "is_plain", True)
+    return found
+
+
+def permissions_in_elements(xml: bytes) -> Permissions:
+    """As `Permissions.from_xml`, by the XML parser and the schema, whatever the form."""
+    # The schema fixes the number and order of the children, so they are found by position.
+    [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
+    return Permissions(grants=tuple(map(_grant, grants)))
 
 
 def _grant(element: "_Element") -> Grant:

@@ -14,12 +14,12 @@ list of `rules`, each `allow:` or `deny:`. Nothing else is allowed, unless the g
 `default: ALLOW`.
 """
 
-import re
 from datetime import datetime, timedelta
 from functools import partial
 from string import Template
 from typing import Any
 
+from pqsec_pki import _times
 from pqsec_pki._assets import asset
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents._domains_yaml import domains
@@ -43,8 +43,6 @@ from pqsec_pki.errors import UsageError
 BACKDATE = timedelta(days=1)
 """How long before now a validity begins that is given as a duration, as with certificates: clocks
 may be slow, and Fast DDS reads the times as local times."""
-
-_UNITS = {"y": timedelta(365), "w": timedelta(7), "d": timedelta(1), "h": timedelta(hours=1)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,10 +163,10 @@ def _validity(now: datetime, item: Item) -> tuple[datetime, datetime]:
 def duration(item: Item) -> timedelta:
     """1y, 26w, 90d or 12h. A year has 365 days."""
     written = item.text if isinstance(item, Text) else ""
-    found = re.fullmatch(r"([1-9][0-9]{0,5})([ywdh])", written)
-    if not found:
+    found = _times.duration(written)
+    if found is None:
         raise refused(item, f"'{written}' is not a duration: write 1y, 26w, 90d or 12h")
-    return int(found[1]) * _UNITS[found[2]]
+    return found
 
 
 def lasting(now: datetime, duration: timedelta) -> tuple[datetime, datetime]:

@@ -34,14 +34,14 @@ _LIFECYCLE_SERVICES = (
     "get_transition_graph",
 )
 _PARAMETER_SERVICES = tuple(each for each in _NODE_SERVICES if each != "get_type_description")
-_ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
-_ACTION_TOPICS = ("feedback", "status")
+ACTION_SERVICES = ("cancel_goal", "get_result", "send_goal")
+ACTION_TOPICS = ("feedback", "status")
 
 _WORDS = (("rt", "", ""), ("rq", "Request", "request of "), ("rr", "Reply", "reply of "))
 """Prefix and ending of a DDS topic, and the words before its ROS 2 name."""
-_CLIENT_SIDE = {("request of ", each) for each in _ACTION_SERVICES}
-_SERVER_SIDE = {("reply of ", each) for each in _ACTION_SERVICES} | {
-    ("", each) for each in _ACTION_TOPICS
+_CLIENT_SIDE = {("request of ", each) for each in ACTION_SERVICES}
+_SERVER_SIDE = {("reply of ", each) for each in ACTION_SERVICES} | {
+    ("", each) for each in ACTION_TOPICS
 }
 _ACTION_SIDES = (
     ("action ", _CLIENT_SIDE | _SERVER_SIDE),
@@ -232,11 +232,11 @@ def _in_words(topic: str) -> tuple[str, str]:
 
 def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
     inside = f"{_checked(name)}/_action/"
-    services = [inside + service for service in _ACTION_SERVICES]
+    services = [inside + service for service in ACTION_SERVICES]
     return (
         tuple(map(service_request, services)),
         tuple(map(service_reply, services)),
-        tuple(topic(inside + part) for part in _ACTION_TOPICS),
+        tuple(topic(inside + part) for part in ACTION_TOPICS),
     )
 
 

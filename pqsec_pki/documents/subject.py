@@ -24,11 +24,12 @@ _COMMA_PART = re.compile(
     rf'\s*+{_TYPE}(?:"(?P<quoted>(?:[^"\\]|\\.)*+)"\s*+|(?P<plain>(?:[^,+"\\]|\\.)*+))(?P<end>[,+]|\Z)',
     re.DOTALL | re.ASCII,
 )
-_SLASH_PART = re.compile(rf"\s*+{_TYPE}(?P<value>.*)", re.DOTALL | re.ASCII)
+# The expressions below are for few names: they are compiled when one is read.
+_SLASH_PART = rf"(?as)\s*+{_TYPE}(?P<value>.*)"
 # A slash starts a part only if a type and "=" follow: CN=/ns/node is one part.
-_SLASH = re.compile(r"(?<!\\)/(?=\s*+[A-Za-z0-9][A-Za-z0-9.-]*+\s*+=)", re.ASCII)
-_COMMA_FORM = re.compile(r"\\(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>.)|(?P<raw>.)", re.DOTALL)
-_SLASH_FORM = re.compile(r"\\x(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>/)|(?P<raw>.)", re.DOTALL)
+_SLASH = r"(?a)(?<!\\)/(?=\s*+[A-Za-z0-9][A-Za-z0-9.-]*+\s*+=)"
+_COMMA_FORM = r"(?s)\\(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>.)|(?P<raw>.)"
+_SLASH_FORM = r"(?s)\\x(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>/)|(?P<raw>.)"
 
 
 def parse_subject(text: str) -> Subject:
@@ -71,26 +72,30 @@ def _comma_form(text: str) -> Subject:
 
 def _comma_value(found: re.Match[str]) -> str:
     if found["quoted"] is not None:
-        return _unescaped(_COMMA_FORM.finditer(found["quoted"]))
+        return _unescaped(re.finditer(_COMMA_FORM, found["quoted"]))
     plain = found["plain"]
     if plain.isascii() and "\\" not in plain:  # so with nearly all names
         return plain.rstrip(_SPACE)
-    characters = list(_COMMA_FORM.finditer(plain))
+    characters = list(re.finditer(_COMMA_FORM, plain))
     while characters and characters[-1][0] in _SPACE:  # an escaped space is part of the value
         characters.pop()
     return _unescaped(characters)
 
 
 def _slash_form(text: str) -> Subject:
-    before, *parts = _SLASH.split(text.strip(_SPACE))
-    found = [_SLASH_PART.fullmatch(part) for part in parts]
+    before, *parts = re.split(_SLASH, text.strip(_SPACE))
+    found = [re.fullmatch(_SLASH_PART, part) for part in parts]
     if before or not found or None in found:
         raise _no_subject(text)
     return tuple(
-        frozenset({(part["type"], _unescaped(_SLASH_FORM.finditer(part["value"].rstrip(_SPACE))))})
+        frozenset({(part["type"], _slash_value(part["value"].rstrip(_SPACE)))})
         for part in found
         if part
     )
+
+
+def _slash_value(text: str) -> str:
+    return _unescaped(re.finditer(_SLASH_FORM, text))
 
 
 def _unescaped(characters: Iterable[re.Match[str]]) -> str:

@@ -13,6 +13,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.domain._profile_change import change_profile
+    from pqsec_pki.domain._reconcile import has_rights
     from pqsec_pki.domain._role_values import role_value
     from pqsec_pki.domain.applying import apply, apply_plan, create_keystore, refuse_mass_revocation
     from pqsec_pki.domain.approved import ApprovedPlan, approved_plan
@@ -26,7 +27,12 @@ if TYPE_CHECKING:
     from pqsec_pki.domain.desired import Desired, Member, Role
     from pqsec_pki.domain.devices import FACTORY, Device
     from pqsec_pki.domain.importing import Imported, import_domain
-    from pqsec_pki.domain.ordered import OrderedIssue, ordered_issue, perform_order
+    from pqsec_pki.domain.ordered import (
+        OrderedIssue,
+        ordered_issue,
+        perform_order,
+        uncovered,
+    )
     from pqsec_pki.domain.planning import plan
     from pqsec_pki.domain.proposing import (
         PlanReview,
@@ -65,6 +71,7 @@ __all__ = [
     "create_keystore",
     "deliver_request",
     "desired_in",
+    "has_rights",
     "import_domain",
     "new_domain",
     "ordered_issue",
@@ -77,4 +84,5 @@ __all__ = [
     "refuse_unapproved",
     "rights_words",
     "role_value",
+    "uncovered",
 ]

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
-from pqsec_pki.algorithms import PublicKey, load_public_key, pem, unpem
+from pqsec_pki.algorithms import PublicKey, pem, public_key_from_pem
 from pqsec_pki.approvals import ApprovalPolicy, Covered
 from pqsec_pki.documents.parts_yaml import (
     Item,
@@ -21,7 +21,7 @@ from pqsec_pki.documents.parts_yaml import (
     table,
     text,
 )
-from pqsec_pki.errors import MalformedError, PqsecError
+from pqsec_pki.errors import PqsecError
 
 _EVERY = "all"
 _KINDS = (*(Covered.REVOKE, Covered.ROTATE, Covered.GROW), _EVERY)
@@ -85,9 +85,6 @@ def _key(item: Item, folder: Path) -> PublicKey:
     where = "the key" if given.lstrip().startswith(_BEGIN) else str(folder / given)
     try:
         data = given.encode() if where == "the key" else read(folder / given, limit=_MAX_KEY)
-        match unpem(data, "public key"):
-            case [("PUBLIC KEY", spki)]:
-                return load_public_key(spki)
-        raise MalformedError("it must be one PEM block, PUBLIC KEY")
+        return public_key_from_pem(data)
     except PqsecError as error:
         raise refused(item, f"{where}: {error.words_at(where)}") from None

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
+from pqsec_pki.certificates import MAX_COMMON_NAME
 from pqsec_pki.documents.parts_yaml import all_of, refuse_unseen_ends, refused
 from pqsec_pki.errors import InvalidDocumentError, UsageError, located, shown
 from pqsec_pki.keystore import regular_name
@@ -24,8 +25,6 @@ MAX_PROBLEMS = 20
 """Shown of one list; the others are mostly similar."""
 MAX_BRACES = 16
 """In one pattern: {,} sixteen times gives 65,536 names."""
-MAX_NAME = 64
-"""Characters: the name is a certificate's CN (RFC 5280, ub-common-name)."""
 
 _BRACES = re.compile(r"\{([^{}]*)\}")
 _RANGE = re.compile(r"([0-9]{1,9})\.\.([0-9]{1,9})", re.ASCII)
@@ -135,8 +134,11 @@ def regular(text: str, line: int) -> str:
         name = regular_name(text)
     except UsageError as error:
         raise refused(line, f"{error}; {error.hint}") from None
-    if len(name) > MAX_NAME:
-        raise refused(line, f"'{shown(name)}' has {len(name)} characters: at most 64 are allowed")
+    if len(name) > MAX_COMMON_NAME:  # it is a certificate's CN
+        raise refused(
+            line,
+            f"'{shown(name)}' has {len(name)} characters: at most {MAX_COMMON_NAME} are allowed",
+        )
     return name
 
 

@@ -5,9 +5,10 @@ makes nothing that the file does not have, and nothing that its grant does not c
 """
 
 from collections.abc import Iterator, Mapping
-from datetime import datetime, timedelta
+from datetime import datetime
 from pathlib import Path
 
+from pqsec_pki._times import days
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.ordered import OrderedIssue, ordered_issue
 from pqsec_pki.domain.requests import hashes_in, order_in
@@ -43,7 +44,7 @@ def steps_of(found: OrderedIssue) -> tuple[Step, ...]:
         Step(
             StepAction.ENROL,
             spec.name,
-            f"ordered by {found.authority}, for {_days(spec.validity)}",
+            f"ordered by {found.authority}, for {days(spec.validity)}",
             hashes_in(spec.keys),
             found.keystore.approved,
         )
@@ -61,10 +62,6 @@ def _problems(spec: ParticipantSpec, members: Mapping[str, Member], path: Path) 
         yield f"{spec.name}: its role ({member.role.label}) has other rights in the grant"
     if spec.validity > member.validity:
         yield (
-            f"{spec.name}: {_days(spec.validity)} were ordered, and the domain file has"
-            f" {_days(member.validity)}"
+            f"{spec.name}: {days(spec.validity)} were ordered, and the domain file has"
+            f" {days(member.validity)}"
         )
-
-
-def _days(validity: timedelta) -> str:
-    return f"{validity / timedelta(days=1):g} days"

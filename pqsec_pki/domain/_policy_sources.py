@@ -5,8 +5,8 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from pqsec_pki._files import read
+from pqsec_pki.certificates import MAX_COMMON_NAME
 from pqsec_pki.documents import DomainSet, Governance, Permissions, lasting, read_tree, sros2
-from pqsec_pki.domain._listing import MAX_NAME
 from pqsec_pki.domain._sources import ImportSource, common_name_in, lifetime
 from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.keystore import regular_name
@@ -65,6 +65,6 @@ def _participant_name(*texts: str) -> str:
     """The first that can be a participant's name; empty if none can."""
     for text in texts:
         with suppress(UsageError):
-            if len(name := regular_name(text)) <= MAX_NAME:
+            if len(name := regular_name(text)) <= MAX_COMMON_NAME:
                 return name
     return ""

@@ -170,7 +170,7 @@ class Reconciler:
     def _why_sign_permissions(self, member: Member, held: ParticipantState) -> str:
         if held.files is Files.OTHER_PERMISSIONS:
             return "its permissions are not the ones signed last"
-        if held.config_digest == member.config_digest or self._is_signed(member, held):
+        if has_rights(self.keystore, member, held, now=self.now):
             return ""
         if held.config_digest.startswith(PERMITTED):
             return "its rights were changed by `pqsec permit`"
@@ -180,19 +180,24 @@ class Reconciler:
             else "its permissions were not made from the file"
         )
 
-    def _is_signed(self, member: Member, held: ParticipantState) -> bool:
-        """Whether its permissions have the rules of the file and last as long as its certificate.
 
-        Another command may have signed them, or the role was written in another way. An error
-        in its role or its files means no: the step then reports it.
-        """
-        if self.keystore is None:
-            return False
-        with suppress(PqsecError):
-            [wanted] = member.spec().grants
-            match signed_grants(self.keystore, member.name):
-                case [signed]:
-                    same = (signed.rules, signed.default) == (wanted.rules, wanted.default)
-                    lasts = held.not_after - signed.not_after <= _SLACK
-                    return same and lasts and signed.not_before <= self.now
+def has_rights(
+    keystore: Keystore | None, member: Member, held: ParticipantState, *, now: datetime
+) -> bool:
+    """Whether its permissions have the rules of the file and last as long as its certificate.
+
+    Another command may have signed them, or the role was written in another way. An error
+    in its role or its files means no: the step then reports it.
+    """
+    if held.config_digest == member.config_digest:
+        return True
+    if keystore is None:
         return False
+    with suppress(PqsecError):
+        [wanted] = member.spec().grants
+        match signed_grants(keystore, member.name):
+            case [signed]:
+                same = (signed.rules, signed.default) == (wanted.rules, wanted.default)
+                lasts = held.not_after - signed.not_after <= _SLACK
+                return same and lasts and signed.not_before <= now
+    return False

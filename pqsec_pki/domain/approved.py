@@ -12,9 +12,9 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.approvals import Approval, Covered, PlanProposal, ProposedStep, refuse_without
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.planning import plan as make_plan
-from pqsec_pki.domain.proposing import PlanReview
+from pqsec_pki.domain.proposing import PlanReview, demanded_policy
 from pqsec_pki.domain.steps import Plan, StepAction
-from pqsec_pki.errors import KeystoreError, VerificationError
+from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import (
     PLAN,
     Keystore,
@@ -103,11 +103,7 @@ def refuse_insufficient(
     proposal: PlanProposal, approvals: Sequence[Approval], keystore: Keystore
 ) -> None:
     """VerificationError unless these are enough by the keystore's rule, which is the proposal's."""
-    policy = keystore.approvals
-    if policy is None:
-        raise KeystoreError(
-            f"{keystore.root} demands no approvals", hint="`pqsec apply` takes the domain file"
-        )
+    policy = demanded_policy(keystore, "`pqsec apply` takes the domain file")
     if policy != proposal.policy:
         raise changed_since(f"the plan was made for other approvals than the keystore's: {policy}")
     required = policy.required if proposal.needs else 1

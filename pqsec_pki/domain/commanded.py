@@ -15,12 +15,14 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.approvals import Approval, ChangedRights, Covered, PlanProposal, ProposedStep
 from pqsec_pki.domain.approved import changed_since, refuse_insufficient, refuse_other_state
-from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
+from pqsec_pki.domain.proposing import demanded_policy
+from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import APPROVAL, Keystore, approval_entries, change, lines_since
 
 COMMAND, FILE = "command", "file"
 """The actions of its steps."""
 MAX_FILE = 256 << 20
+_NO_APPROVALS = "run the command: nobody must approve it"
 _NOTHING = hashlib.sha256(b"").hexdigest()
 
 
@@ -44,11 +46,7 @@ class CommandReview:
 
     def needs(self, keystore: Keystore) -> tuple[Covered, ...]:
         """Why approvals are needed; KeystoreError if the keystore demands none."""
-        if policy := keystore.approvals:
-            return policy.needs([self.kind])
-        raise KeystoreError(
-            f"{keystore.root} demands no approvals", hint="run the command: nobody must approve it"
-        )
+        return demanded_policy(keystore, _NO_APPROVALS).needs([self.kind])
 
 
 def command_in(proposal: PlanProposal) -> list[str] | None:
@@ -70,9 +68,7 @@ def propose_command(
     validity: timedelta,
 ) -> PlanProposal:
     """The command as a proposal; KeystoreError if the keystore demands no approvals."""
-    needs, policy, at = review.needs(keystore), keystore.approvals, now.replace(microsecond=0)
-    if policy is None:
-        raise KeystoreError(f"{keystore.root} demands no approvals")
+    at = now.replace(microsecond=0)
     return PlanProposal(
         proposer=proposer,
         made_at=at,
@@ -80,8 +76,8 @@ def propose_command(
         domain_file="",
         domain_sha256=_NOTHING,
         head=keystore.head,
-        policy=policy,
-        needs=needs,
+        policy=demanded_policy(keystore, _NO_APPROVALS),
+        needs=review.needs(keystore),
         prune=False,
         new_keys=False,
         only="",

@@ -4,13 +4,13 @@ Everything is decided by what is in the ledger: the grant there, what was enroll
 whether it was ended. So the ledger must have all lines of which the CAs signed a head.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._times import said
+from pqsec_pki._times import days, said
 from pqsec_pki.approvals import EnrolmentOrder, OrderedName, RegistrationGrant
 from pqsec_pki.domain._role_values import role_in
 from pqsec_pki.domain.desired import Member
@@ -67,7 +67,8 @@ def ordered_issue(
         _refuse_replaced(keystore, order)
     else:
         _refuse_late(order, found, now)
-        _refuse_uncovered(order, found)
+        if problems := [*uncovered(order.items, found.grant, used=found.used)]:
+            raise VerificationError(*problems, hint="`pqsec ra list` shows what is granted")
         _refuse_known(keystore, order)
     approved = keystore.approved or not predates_approvals(keystore, found)
     return OrderedIssue(
@@ -120,7 +121,8 @@ def _specs(
 def _role_problems(order: EnrolmentOrder, grant: RegistrationGrant) -> Iterator[str]:
     for each in order.items:
         if each.role not in grant.roles:
-            yield f"{each.name}: the role {shown(each.role)} is not granted: {_list(grant.roles)}"
+            granted = ", ".join(grant.roles)
+            yield f"{each.name}: the role {shown(each.role)} is not granted: {granted}"
 
 
 def _member(item: OrderedName, grant: RegistrationGrant) -> Member:
@@ -141,24 +143,23 @@ def _refuse_late(order: EnrolmentOrder, found: Registration, now: datetime) -> N
         )
 
 
-def _refuse_uncovered(order: EnrolmentOrder, found: Registration) -> None:
-    """VerificationError with all that the grant does not cover."""
-    grant, problems = found.grant, list[str]()
-    for each in order.items:
+def uncovered(
+    items: Sequence[OrderedName], grant: RegistrationGrant, *, used: int = 0
+) -> Iterator[str]:
+    """What of an order the grant does not cover, of which `used` participants were enrolled."""
+    for each in items:
         if not any(matching(pattern, [each.name]) for pattern in grant.names):
-            problems.append(f"{each.name}: the grant is for {', '.join(grant.names)}")
+            yield f"{each.name}: the grant is for {', '.join(grant.names)}"
         if not timedelta(0) < each.validity <= grant.longest:
-            problems.append(
-                f"{each.name}: {_days(each.validity)} were ordered, and {_days(grant.longest)} at"
+            yield (
+                f"{each.name}: {days(each.validity)} were ordered, and {days(grant.longest)} at"
                 " most are granted"
             )
-    if len(order.items) + found.used > grant.most:
-        problems.append(
-            f"{len(order.items)} participants were ordered, and {grant.most - found.used} of"
-            f" {grant.most} are left"
+    if len(items) + used > grant.most:
+        yield (
+            f"{len(items)} participants were ordered, and {grant.most - used} of {grant.most} are"
+            " left"
         )
-    if problems:
-        raise VerificationError(*problems, hint="`pqsec ra list` shows what is granted")
 
 
 def _refuse_known(keystore: Keystore, order: EnrolmentOrder) -> None:
@@ -187,11 +188,3 @@ def _refuse_replaced(keystore: Keystore, order: EnrolmentOrder) -> None:
                 code=Code.CONTENT_CHANGED,
                 hint="`pqsec log` shows it; a new order is for new names",
             )
-
-
-def _list(names: Mapping[str, object]) -> str:
-    return ", ".join(names)
-
-
-def _days(validity: timedelta) -> str:
-    return f"{validity / timedelta(days=1):g} days"

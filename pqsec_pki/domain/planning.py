@@ -190,7 +190,7 @@ class _Planner:
         return "it was changed" if config_digest else "its content differs"
 
     def _has_other_groups(self, others: Iterable[str]) -> bool:
-        """Whether the groups of the keystore are others; who has no credentials is no difference.
+        """Whether the keystore has other groups; participants without credentials do not count.
 
         Groups that cannot be read are written again.
         """

@@ -12,8 +12,9 @@ from os.path import relpath
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import days
 from pqsec_pki.access import Difference, permissions_diff
-from pqsec_pki.approvals import ChangedRights, Covered, PlanProposal, ProposedStep
+from pqsec_pki.approvals import ApprovalPolicy, ChangedRights, Covered, PlanProposal, ProposedStep
 from pqsec_pki.documents import Permissions
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Plan, Step, StepAction
@@ -79,8 +80,8 @@ class PlanReview:
                 words = f"a certificate for the key with SHA-256 {step.keys}"
                 alike.setdefault((words,), []).append(step.name)
         for name in self._named(StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW):
-            days = self.desired.members[name].validity / timedelta(days=1)
-            alike.setdefault((f"a certificate that is valid for {days:g} days",), []).append(name)
+            words = f"a certificate that is valid for {days(self.desired.members[name].validity)}"
+            alike.setdefault((words,), []).append(name)
         return tuple(
             ChangedRights(tuple(filter(None, names)), changes) for changes, names in alike.items()
         )
@@ -153,6 +154,13 @@ def rights_words(difference: Difference) -> Iterator[str]:
         yield "not all can be compared: there may be more"
 
 
+def demanded_policy(keystore: Keystore, hint: str) -> ApprovalPolicy:
+    """Whose approvals the keystore demands; KeystoreError, with the hint, if nobody's."""
+    if policy := keystore.approvals:
+        return policy
+    raise KeystoreError(f"{keystore.root} demands no approvals", hint=hint)
+
+
 def refuse_unapproved(desired: Desired, keystore: Keystore, plan: Plan, *, now: datetime) -> None:
     """KeystoreError if some of the plan's changes need approvals; before any is made."""
     policy = None if keystore.approved else keystore.approvals
@@ -173,12 +181,8 @@ def propose(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
 
     KeystoreError if the keystore demands no approvals.
     """
-    policy, now = review.keystore.approvals, review.now.replace(microsecond=0)
-    if policy is None:
-        raise KeystoreError(
-            f"{review.keystore.root} demands no approvals",
-            hint="`pqsec apply` makes the changes; `approvals` in the domain file demands some",
-        )
+    hint = "`pqsec apply` makes the changes; `approvals` in the domain file demands some"
+    policy, now = demanded_policy(review.keystore, hint), review.now.replace(microsecond=0)
     return PlanProposal(
         proposer=proposer,
         made_at=now,

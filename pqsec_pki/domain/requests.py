@@ -81,7 +81,7 @@ def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:
     """The input of `issue`, with the keys of its request if it has one.
 
     Errors as of `admitted` and `Member.spec`. VerificationError also if the keys' hashes are
-    not those `planned`; KeystoreError if the request cannot be read any more.
+    not those `planned`; KeystoreError if the request can no longer be read.
     """
     try:
         keys = admitted(member, profile)

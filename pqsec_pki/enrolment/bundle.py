@@ -75,7 +75,8 @@ class Bundle:
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
             raise UsageError("a bundle needs at least one participant")
-        found = {name: enclave_files(keystore.root, name) for name in regular}
+        linked = numbers.linked if numbers else {}
+        found = {name: enclave_files(keystore.root, name, linked) for name in regular}
         enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
         with nullcontext(numbers) if numbers else BundleNumbers.of(keystore) as those:
             known = [number for files in found.values() if (number := those.number(files))]

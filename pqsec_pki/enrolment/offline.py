@@ -40,7 +40,7 @@ from pqsec_pki.lifecycle import ParticipantSpec, issue
 REQUEST_KIND, ANSWER_KIND = "sign request", "sign answer"
 ORDER = "order.json"
 ORDER_VALIDITY = timedelta(days=7)
-"""An order that is found later is performed no more."""
+"""A later order is not performed."""
 _NO_RIGHTS: Mapping[str, object] = {"domains": "0", "publish": [], "subscribe": []}
 MAX_UNPACKED = 256 << 20
 """Bytes of all unpacked bundles in an answer: four times the limit of one archive."""
@@ -184,11 +184,8 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     if asked.order:
         raise VerificationError("a registration authority's order is performed by its grant")
     specs = asked.admitted(keystore.profile, patterns)
-    done = {
-        entry.name: entry.details.get("request")
-        for entry in keystore.ledger()
-        if entry.kind == "participant"
-    }
+    with keystore.open_ledger() as ledger:
+        done = {each.name: each.details.get("request") for each in ledger.newest("participant")}
     new = [spec for spec in specs if done.get(spec.name) != asked.sha256]
     if new:
         issue(

@@ -8,9 +8,10 @@ were issued to whom: `receipt_import.py`.
 """
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from datetime import UTC, datetime
+from typing import TypeAlias
 
 from pqsec_pki import __version__
 from pqsec_pki._dataclass import dataclass
@@ -31,6 +32,7 @@ from pqsec_pki.smime import Signer, sign, verify
 from pqsec_pki.tokens import Pin, key_in, stored_pin
 
 STATEMENT = "receipt.p7s"
+IsIssued: TypeAlias = Callable[[str, Certificate], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,11 +78,13 @@ def receipt_of(
     return Archive(RECEIPT, {}, files).pack()
 
 
-def read_receipts(data: bytes) -> tuple[SignedReceipt, ...]:
+def read_receipts(data: bytes, is_issued: IsIssued | None = None) -> tuple[SignedReceipt, ...]:
     """The receipts in the file `data`, each signed by the holder of the certificate beside it.
 
     MalformedError if it is not a receipt file. VerificationError, with everything that is wrong,
-    for a signature that is not valid or missing, and for a receipt of another certificate.
+    for a signature that is not valid or missing, and for a receipt of another certificate. With
+    `is_issued`, which says whether a participant ever had that certificate, the first problem ends
+    it: so a file with thousands of participants is as much work as those that they really are.
     """
     archive = Archive.unpack(data, RECEIPT)
     if not archive.files:
@@ -94,9 +98,12 @@ def read_receipts(data: bytes) -> tuple[SignedReceipt, ...]:
         except KeyError:
             raise MalformedError(f"the receipt of {name} is incomplete") from None
         try:
-            found.append(_verified(name, only_certificate(certificate, CERTIFICATE), statement))
+            signer = only_certificate(certificate, CERTIFICATE)
+            found.append(_verified(name, signer, statement, is_issued))
         except VerificationError as error:
             problems += [each.of(name) for each in error.problems]
+            if is_issued:
+                break
     if problems:
         raise VerificationError(*problems, hint="make it again: `pqsec install` on the robot")
     return tuple(found)
@@ -117,8 +124,12 @@ def _signed(receipt: Receipt, files: Mapping[str, bytes], pin: Pin) -> bytes:
     )
 
 
-def _verified(name: str, certificate: Certificate, statement: bytes) -> SignedReceipt:
+def _verified(
+    name: str, certificate: Certificate, statement: bytes, is_issued: IsIssued | None
+) -> SignedReceipt:
     """The receipt that `certificate`'s keys signed, all of them; VerificationError if not."""
+    if is_issued and not is_issued(name, certificate):
+        raise VerificationError("this keystore did not issue its certificate")
     second = certificate.with_alternative_key
     verified = verify(statement, certificate, alternative_ca=second, pinned=True)
     receipt = Receipt.from_json(verified.document)

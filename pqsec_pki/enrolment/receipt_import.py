@@ -18,7 +18,6 @@ from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import VerificationError, located
 from pqsec_pki.keystore import (
     RECEIPT,
-    Entry,
     Keystore,
     Ledger,
     Receipt,
@@ -114,11 +113,11 @@ class _Records:
     @classmethod
     def of(cls, keystore: Keystore, ledger: Ledger) -> Self:
         return cls(
-            issued={sha256: name for name, sha256, _ in ledger.certified("")},
+            issued=ledger.issued(),
             revoked=frozenset(ledger.numbers("revocation")),
             compromised=frozenset(compromised_keys_in(keystore.root, ledger)),
             recorded=set(ledger.numbers(RECEIPT)),
-            newest={each.name: _made_at(each) for each in ledger.newest(RECEIPT)},
+            newest={each.name: Receipt.of(each).made_at for each in ledger.newest(RECEIPT)},
         )
 
     def add(self, receipt: Receipt) -> None:
@@ -166,10 +165,6 @@ def _read(
         except VerificationError as error:
             problems += [each.of(str(path)) for each in error.problems]
     return sorted(found, key=lambda each: each[1].receipt.made_at), problems
-
-
-def _made_at(entry: Entry) -> datetime:
-    return Receipt.of(entry).made_at
 
 
 def _hint(problems: Sequence[Problem]) -> str | None:

@@ -22,7 +22,7 @@ from OpenSSL import SSL
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.enrolment import MAX_ARCHIVE
 from pqsec_pki.errors import PqsecError, VerificationError, shown
-from pqsec_pki.est.paths import PROBLEM
+from pqsec_pki.est.paths import PROBLEM, REQUEST_ENDED
 from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.stream import TlsStream
 from pqsec_pki.est.tls import ServerTrust, TlsIdentity, client_context
@@ -45,6 +45,10 @@ MOST_PLACES = 4
 """Addresses of one name that are tried, one after the other."""
 _Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
 """An address, as the system's calls have it."""
+
+
+class RequestEndedError(VerificationError):
+    """The server never answers this request; it may answer another one."""
 
 
 class TryAnotherError(PqsecError):
@@ -164,16 +168,17 @@ class EstClient:
 
     def _refuse(self, response: HTTPResponse, body: bytes) -> NoReturn:
         status, media = response.status, response.headers.get("Content-Type", "")
-        words = f"{self.server} answers {status}"
-        if media.partition(";")[0].strip() == PROBLEM and (why := _problem(body)):
-            words = f"{self.server} says: {why}"
+        problem = _problem(body) if media.partition(";")[0].strip() == PROBLEM else {}
+        why = _problem_words(problem)
+        words = f"{self.server} says: {why}" if why else f"{self.server} answers {status}"
         if 300 <= status < 400:  # noqa: PLR2004 -- redirects (RFC 9110 15.4)
             raise PqsecError(f"{words}: no redirect is followed", hint="use the server's own URL")
         if status in _ANOTHER:
             raise TryAnotherError(words, hint="run the command again later")
         if status in _LATER or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             raise PqsecError(words, hint="run the command again later")
-        raise VerificationError(words)
+        ended = problem.get("type") == REQUEST_ENDED
+        raise RequestEndedError(words) if ended else VerificationError(words)
 
 
 class _Https(HTTPConnection):
@@ -232,13 +237,18 @@ def _words(error: Exception) -> str:
     return shown(str(error)) or "the connection was closed"
 
 
-def _problem(body: bytes) -> str:
-    """The title and detail of problem details (RFC 9457), fit for a message."""
-    with suppress(ValueError, RecursionError, AttributeError):
+def _problem(body: bytes) -> dict[str, Any]:
+    """Problem details (RFC 9457); nothing if they are not."""
+    with suppress(ValueError, RecursionError):
         value = json.loads(body)
-        texts = [value.get("title"), value.get("detail")]
-        return shown(": ".join(each for each in texts if isinstance(each, str)), _LONGEST_WORDS)
-    return ""
+        return value if isinstance(value, dict) else {}
+    return {}
+
+
+def _problem_words(problem: Mapping[str, Any]) -> str:
+    """Its title and detail, fit for a message."""
+    texts = [problem.get("title"), problem.get("detail")]
+    return shown(": ".join(each for each in texts if isinstance(each, str)), _LONGEST_WORDS)
 
 
 def _retry_after(text: str) -> timedelta:

@@ -105,7 +105,9 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
     if bundle.names != (name,):
         raise VerificationError(f"the server's bundle is for {', '.join(bundle.names)}")
     if bundle.has_keys:
-        raise VerificationError("the server's bundle has private keys, which are made here alone")
+        raise VerificationError(
+            "the server's bundle has private keys, which must be made on this robot"
+        )
     try:
         install(
             answer.body,

@@ -7,6 +7,7 @@ same bundle; so a command that was killed is only run again.
 import hashlib
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import replace
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
@@ -17,7 +18,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.enrolment import changing, one_command, require_trust
 from pqsec_pki.errors import KeystoreError, PqsecError
-from pqsec_pki.est.client import EstClient
+from pqsec_pki.est.client import EstClient, RequestEndedError, ServerAnswer
 from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.obtaining import (
     Enclave,
@@ -35,6 +36,7 @@ from pqsec_pki.est.obtaining import (
 from pqsec_pki.est.paths import BUNDLE, RECEIPT_TYPE, RECEIPTS
 from pqsec_pki.keystore import State, expanded, regular_name
 
+_NEW_REQUEST = "it is never answered: `pqsec enrol --force` makes a new one, with the same options"
 Clock = Callable[[], datetime]
 
 
@@ -82,7 +84,11 @@ def enrol(  # noqa: PLR0913 -- by name
         before = installed(root).get(name, {})
         if terms.force or is_requested(root, name) or not _is_enrolled(before, root, terms, clock):
             request = ask_for(root, name, terms, held_by(before) if before else None)
-            answer = answer_to(client, request, patience)
+            try:
+                answer = answer_to(client, request, patience)
+            except RequestEndedError as error:
+                error.hint = _NEW_REQUEST
+                raise
             take(answer, name, root, terms, now=clock())
         KnownServer.of(client).save(root)
         return _outcome(root, name, before)
@@ -172,7 +178,7 @@ def _renewed(  # noqa: PLR0913 -- by name
     state = State.at(now, held.not_before, held.not_after, due)
     if rekey or state.calls_for_renewal:
         try:
-            answer = answer_to(client, ask_for(root, name, terms, held))
+            answer = _answered(client, name, root, terms, held)
             take(answer, name, root, terms, now=now)
             return _outcome(root, name, before)
         except PqsecError as error:
@@ -185,6 +191,19 @@ def _renewed(  # noqa: PLR0913 -- by name
     if failed:
         raise failed
     return _outcome(root, name, before)
+
+
+def _answered(
+    client: EstClient, name: str, root: Path, terms: KeyTerms, held: Certificate
+) -> ServerAnswer:
+    """The answer to the request that waits, or to a new one if that is never answered.
+
+    Nobody at the robot decides about it: a renewal that somebody refused is asked for again.
+    """
+    try:
+        return answer_to(client, ask_for(root, name, terms, held))
+    except RequestEndedError:
+        return answer_to(client, ask_for(root, name, replace(terms, force=True), held))
 
 
 def _outcome(root: Path, name: str, before: Enclave) -> Obtained:

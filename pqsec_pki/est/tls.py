@@ -132,8 +132,8 @@ def refuse_classical(connection: SSL.Connection) -> None:
     if (group or "").upper() != GROUP.upper():
         raise VerificationError(
             f"the peer agreed on {group or 'an unknown group'}, not on {GROUP}",
-            hint="both sides need OpenSSL 3.5 or later; a server allows others if it is configured"
-            " so",
+            hint="both sides need OpenSSL 3.5 or later; a server with `classical: true` allows"
+            " others",
         )
 
 
@@ -176,8 +176,8 @@ def _use(context: SSL.Context, identity: TlsIdentity) -> None:
     except SSL.Error:
         # Without the library's error, which may quote what it read.
         raise PqsecError(
-            "OpenSSL takes this certificate and key not for TLS: they do not belong together, or"
-            " are of a kind that TLS does not have"
+            "OpenSSL does not accept this certificate and key for TLS: they do not belong together,"
+            " or are of a kind that TLS does not have"
         ) from None
 
 

@@ -158,7 +158,7 @@ def server_pin(text: str) -> str:
     """The SHA-256 of a server's key as it is compared; UsageError if `text` is none."""
     pin = text.lower().replace(":", "")
     if not _PIN.fullmatch(pin):
-        raise UsageError(f"'{shown(text)}' is not SHA-256 in hex")
+        raise UsageError(f"'{shown(text)}' is not a SHA-256 in hex")
     return pin
 
 

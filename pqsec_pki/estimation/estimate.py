@@ -10,10 +10,12 @@ from pqsec_pki.estimation.closed_form import ClosedForm
 from pqsec_pki.estimation.messages import sizes_of
 from pqsec_pki.estimation.scenario import GIVE_UP, RESEND, Scenario
 from pqsec_pki.estimation.simulation import Simulated, simulated
+from pqsec_pki.handshake import MessageSizes
 from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
 
 TIMES = (1, 2, 5, 10, 30, 60)
 """Seconds after which the share of pairs that have not met is given."""
+_SLOWER = 1.1
 _WORTH = 0.8
 """Advice must bring the median below this part of it."""
 VALIDITY = (
@@ -40,6 +42,8 @@ class Estimate:
     scenario: Scenario
     closed: ClosedForm
     simulation: Simulated
+    second: MessageSizes | None = None
+    """The sizes in the second version of the messages, if it is another one and there is one."""
 
     @property
     def notes(self) -> Iterator[str]:
@@ -52,7 +56,11 @@ class Estimate:
             )
         busy = self.scenario.busy
         if busy > RESEND:
-            yield f"each host computes for {busy:.1f} s: stacks repeat messages meanwhile"
+            slower = replace(self.scenario, costs=self.scenario.costs.times(_SLOWER)).busy
+            yield (
+                f"each host computes for {busy:.1f} s, on processors a tenth slower {slower:.1f} s:"
+                " stacks repeat messages meanwhile"
+            )
         if busy > GIVE_UP or not isfinite(self.simulation.pairs[-1]):
             yield f"some handshakes take longer than {GIVE_UP:.0f} s, and Cyclone DDS gives up"
         if self.simulation.participants < self.scenario.participants:
@@ -91,6 +99,11 @@ class Estimate:
 
     def _for_losses(self) -> Iterator[Advice]:
         scenario = self.scenario
+        if scenario.loss and self.second:
+            words = "messages of version 2 (wire_versions = [2, 1] in pqsec.toml)"
+            costs = scenario.costs.in_second_version
+            changed = replace(scenario, sizes=self.second, each=(), costs=costs)
+            yield from self._if_faster(words, changed)
         for profile in PROFILES if scenario.loss else ():
             changed = replace(scenario, sizes=sizes_of(profile), each=())
             if changed.sizes.reply < scenario.sizes.reply * _WORTH:
@@ -120,9 +133,9 @@ class Estimate:
         }
 
 
-def estimated(scenario: Scenario, seed: int) -> Estimate:
+def estimated(scenario: Scenario, seed: int, second: MessageSizes | None = None) -> Estimate:
     """By both models; the same for the same seed."""
-    return Estimate(scenario, ClosedForm.of(scenario), simulated(scenario, seed))
+    return Estimate(scenario, ClosedForm.of(scenario), simulated(scenario, seed), second)
 
 
 def _times(model: ClosedForm | Simulated, digits: int) -> dict[str, object]:

@@ -137,18 +137,20 @@ def expanded(class_id: str, found: Mapping[str, bytes]) -> dict[str, bytes]:
 
 
 @lru_cache(maxsize=16)
-def check_carried(certificate: bytes, permissions: bytes) -> None:
-    """MalformedError unless the second version can carry these two, in form and size.
+def check_carried(certificate: bytes, permissions: bytes) -> int:
+    """The bytes of `id` with these two; MalformedError unless the second version can carry them.
 
     `certificate` is PEM, and `permissions` the signed document. Cached, because our own are the
     same for every peer.
     """
     try:
-        _inflated(_deflated(certificate, canonical(permissions)))
+        carried = _deflated(certificate, canonical(permissions))
+        _inflated(carried)
     except MalformedError as error:
         words = f"version {WireVersion.SECOND:d} of the messages cannot carry our own documents"
         hint = error.hint or "allow only version 1"
         raise MalformedError(f"{words}: {error}", hint=hint) from error
+    return len(carried)
 
 
 @lru_cache(maxsize=16)

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
 from dataclasses import field
 from datetime import datetime
 from itertools import chain
@@ -111,13 +110,8 @@ def peer_certificate(octets: bytes) -> Certificate:
     return _known.setdefault(found.pem, found)  # not by other `octets`, of which there are many
 
 
-@contextmanager
-def _read(code: Code) -> Iterator[None]:
-    try:
-        yield
-    except PqsecError as error:
-        words = f"the peer's introduction: {shown(str(error), 300)}"
-        raise VerificationError(words, code=code) from error
+def _unreadable(code: Code, error: PqsecError) -> VerificationError:
+    return VerificationError(f"the peer's introduction: {shown(str(error), 300)}", code=code)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -135,12 +129,16 @@ class RemotePeer:
     @classmethod
     def read(cls, introduction: Introduction) -> Self:
         """The peer; VerificationError if certificate, keys or c.pdata cannot be decoded."""
-        with _read(Code.C9):
+        try:
             # OpenDDS adds a NUL to the file, also to the permissions.
             certificate = peer_certificate(introduction.certificate.rstrip(b"\0"))
             keys = certificate.handshake_keys
-        with _read(Code.C11):
+        except PqsecError as error:
+            raise _unreadable(Code.C9, error) from error
+        try:
             guid = participant_guid(introduction.participant_data)
+        except PqsecError as error:
+            raise _unreadable(Code.C11, error) from error
         permissions = introduction.permissions.rstrip(b"\0")
         return cls(certificate=certificate, guid=guid, permissions=permissions, keys=keys)
 

@@ -17,6 +17,7 @@ The ledger:
     _chain        one line, and how it is chained to the line before
     _table        lines in SQLite
     _ledger       a copy of the lines in memory, and its queries
+    _copies       such a copy, kept for the next question
     _store        what it needs of the place that keeps the lines
     _file_store   that place: a file in private/
     _ledger_file  reads that file, and replaces it as a whole

@@ -40,7 +40,7 @@ class LedgerAddress:
         """UsageError for a URL that is of something else, or has a password or an unknown part."""
         found = _URL.fullmatch(text)
         if found is None:
-            word = "the ledger's address is no URL of PostgreSQL"
+            word = "the ledger's address is not a URL of PostgreSQL"
             raise UsageError(word, hint=f"write {_HINT}")
         given = _parameters(found["query"])
         if found["password"] or _SECRET & given.keys():

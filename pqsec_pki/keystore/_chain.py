@@ -6,18 +6,20 @@ only against a head that was noted elsewhere, or as files of the keystore withou
 
 import hashlib
 import json
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
 from datetime import datetime
-from typing import TypeVar
+from typing import Self, TypeVar
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import KeystoreError, shown
 
 Value = TypeVar("Value")
 
 START = "0" * 64
 """The chain value before the first line."""
+_LINE = json.JSONEncoder(separators=(",", ":"))
+_DETAILS = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,8 +29,7 @@ class Entry:
     at: str
     """ISO 8601, UTC."""
     kind: str
-    """identity-ca, permissions-ca, participant, governance, permissions, revocation, crl, trust,
-    approvals, plan, approval, ra-grant, ra-end, ra-order or ledger."""
+    """docs/reference/keystore.md lists the kinds."""
     name: str
     serial: str | None
     """A certificate's serial number in hex; None for documents."""
@@ -45,6 +46,31 @@ class Entry:
     operator: str | None = None
     """Who ran the command: PQSEC_OPERATOR, or the system's name of the user; None in lines of
     format 1."""
+
+    @classmethod
+    def of(  # noqa: PLR0913 -- the fields of the line, the rarer ones by name
+        cls,
+        kind: str,
+        name: str,
+        sha256: str,
+        now: datetime,
+        *,
+        serial: int | None = None,
+        not_after: datetime | None = None,
+        issuer: str | None = None,
+        details: Mapping[str, str] | None = None,
+    ) -> Self:
+        """The entry of what is done `now`."""
+        return cls(
+            at=now.isoformat(timespec="seconds"),
+            kind=kind,
+            name=name,
+            serial=None if serial is None else f"{serial:x}",
+            sha256=sha256,
+            not_after=not_after.isoformat() if not_after else None,
+            issuer=issuer,
+            details=dict(details or {}),
+        )
 
     @property
     def made_at(self) -> datetime:
@@ -70,10 +96,20 @@ class Entry:
         try:
             return reader(text or "")
         except (ValueError, TypeError):
-            raise KeystoreError(
-                f"the ledger's line on {self.kind} {self.name} is damaged",
-                hint="`pqsec log --verify` shows which lines were altered",
-            ) from None
+            raise self.damaged() from None
+
+    def damaged(self, why: str = "") -> KeystoreError:
+        """The error for this line if it cannot be read."""
+        return damaged_line(self.kind, self.name, why)
+
+
+def damaged_line(kind: str, name: str, why: str = "") -> KeystoreError:
+    """The error for a line that cannot be read."""
+    line = f"{kind} {shown(name)}".rstrip()
+    return KeystoreError(
+        f"the ledger's line on {line} is damaged{f' ({why})' if why else ''}",
+        hint="`pqsec log --verify` shows which lines were altered",
+    )
 
 
 def _hexadecimal(text: str) -> int:
@@ -114,12 +150,12 @@ def link(before: str, number: int, entry: Entry) -> str:
         *(before, number, entry.at, entry.operator, entry.kind, entry.name, entry.serial),
         *(entry.issuer, entry.sha256, entry.not_after, details_text(entry)),
     ]
-    return hashlib.sha256(json.dumps(content, separators=(",", ":")).encode()).hexdigest()
+    return hashlib.sha256(_LINE.encode(content).encode()).hexdigest()
 
 
 def details_text(entry: Entry) -> str:
     """The details as stored: JSON with sorted keys and without blanks."""
-    return json.dumps(entry.details, sort_keys=True, separators=(",", ":"))
+    return _DETAILS.encode(entry.details)
 
 
 def problems(lines: Iterable[Line]) -> Iterator[str]:

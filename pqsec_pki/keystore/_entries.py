@@ -19,13 +19,13 @@ def certificate_entry(  # noqa: PLR0913 -- the fields of the line, the rarer one
     details: dict[str, str] | None = None,
 ) -> Entry:
     """The ledger entry for a certificate."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=kind,
-        name=name,
-        serial=f"{certificate.serial_number:x}",
-        sha256=certificate.fingerprint,
-        not_after=certificate.not_after.isoformat(),
+    return Entry.of(
+        kind,
+        name,
+        certificate.fingerprint,
+        now,
+        serial=certificate.serial_number,
+        not_after=certificate.not_after,
         issuer=issuer.fingerprint if issuer else None,
         details={**(details or {}), **keys_detail(certificate)},
     )
@@ -33,25 +33,18 @@ def certificate_entry(  # noqa: PLR0913 -- the fields of the line, the rarer one
 
 def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
     """The ledger entry for a signed document; `name` may be a path of any bytes."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=kind,
-        name=os.fsencode(name).decode(errors="backslashreplace"),
-        serial=None,
-        sha256=hashlib.sha256(signed).hexdigest(),
-        not_after=None,
-    )
+    text = os.fsencode(name).decode(errors="backslashreplace")
+    return Entry.of(kind, text, hashlib.sha256(signed).hexdigest(), now)
 
 
 def list_entry(made: RevocationList, pem: bytes, issuer: Certificate, now: datetime) -> Entry:
     """The ledger entry for a revocation list; `pem` is its file."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind="crl",
-        name="",
-        serial=None,
-        sha256=hashlib.sha256(pem).hexdigest(),
-        not_after=made.next_update.isoformat() if made.next_update else None,
+    return Entry.of(
+        "crl",
+        "",
+        hashlib.sha256(pem).hexdigest(),
+        now,
+        not_after=made.next_update,
         issuer=issuer.fingerprint,
         details={"number": str(made.number or 0), "revoked": str(len(made.revoked))},
     )

@@ -60,7 +60,7 @@ class FileComparison:
         older = None
         if keystore.ledger_address:
             with keystore.open_ledger() as ledger:
-                older = {sha256: name for name, sha256, _ in ledger.certified("")}
+                older = ledger.issued()
         return cls(keystore.root, seen if isinstance(seen, dict) else {}, older)
 
     def compare(self, name: str, certificate: str, permissions: str) -> Files:

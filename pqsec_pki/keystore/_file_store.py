@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from pqsec_pki.errors import KeystoreError, other_format
 from pqsec_pki.keystore import _ledger_file, _table, layout
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._copies import CopyKey
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 
@@ -17,6 +18,17 @@ class FileStore:
         """With `begin` the file may be missing; otherwise it was lost."""
         self._private, self._begin = private, begin
         self.place = f"{private.path}/{layout.LEDGER}"
+
+    @property
+    def key(self) -> CopyKey | None:
+        """The version of the file; None if an earlier pqsec left another one beside it."""
+        found = _ledger_file.version(self._private)
+        return CopyKey(self.place, found, max(found[-2:])) if found else None
+
+    def update(self, database: sqlite3.Connection) -> bool:
+        """A copy with the same key has all lines."""
+        del database
+        return True
 
     def load(self, database: sqlite3.Connection) -> None:
         """The file, with its table created, or converted from format 1, in memory only."""
@@ -69,5 +81,5 @@ def add(private: Folder, entries: Iterable[Entry], beside: Folder, *, begin: boo
         _ledger_file.settle(private, beside)
     with Ledger(FileStore(private, begin=begin)) as ledger:
         ledger.append(entries)
-        data = ledger.to_file()
-    _ledger_file.save(private, data, beside)
+        _ledger_file.save(private, ledger.to_file(), beside)
+        ledger.is_stored(FileStore(private))

@@ -32,9 +32,10 @@ from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moved_ledger import refuse_moved
-from pqsec_pki.keystore._moves import DRAFT, JOURNAL, PREPARED
+from pqsec_pki.keystore._moves import DRAFT
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -79,14 +80,15 @@ def change(
 
 
 @contextmanager
-def hold(root: Path) -> Iterator[None]:
+def hold(root: Path, *, keep_connection: bool = False) -> Iterator[None]:
     """Lock the keystore at `root` against other processes, after finishing any open change.
 
-    The thread that holds the lock may make any number of changes. Errors as with `change`.
+    The thread that holds the lock may make any number of changes. Errors as with `change`. With
+    `keep_connection` that to the ledger's database stays open for its next hold.
     """
     with _disk_errors(root), locked(root) as folder:
         _settle(folder)
-        with _shared.writing(root, hold=True):
+        with _shared.writing(root, hold=True, keep=keep_connection):
             yield
 
 

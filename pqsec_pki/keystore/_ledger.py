@@ -4,11 +4,10 @@ import json
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
-from types import TracebackType
 from typing import Any, Self, TypeAlias
 
-from pqsec_pki.errors import KeystoreError, PqsecError
-from pqsec_pki.keystore import _table
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import _copies, _table
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._store import MAX_TEXT, LedgerStore
 
@@ -40,9 +39,14 @@ _REVOKED_FOR = (
     f" WHERE kind IN ('revocation', 'compromise') AND {_DETAIL.format('reason')} = ?)"
     " ORDER BY number"
 )
+_KEYS_AFTER = (
+    f"SELECT number, ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
+    " FROM ledger WHERE +kind = 'participant' AND number > ?"
+)
+"""The + keeps SQLite from the index of kinds, so that only the lines after that one are read."""
 _CERTIFIED = (
-    f"SELECT name, sha256, ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
-    " FROM ledger WHERE kind = 'participant' AND not_after >= ? ORDER BY number"
+    "SELECT key, name, sha256 FROM temp.certified JOIN ledger USING (number)"
+    " WHERE key IN (SELECT value FROM json_each(?)) AND not_after >= ? ORDER BY number"
 )
 
 
@@ -58,33 +62,36 @@ class Ledger:
     def __init__(self, store: LedgerStore) -> None:
         """Load it; KeystoreError if it is missing there, or is no ledger."""
         self._place = store.place
-        self._database = sqlite3.connect(":memory:", isolation_level=None)
-        try:
-            with self._errors("not a ledger: "):
-                self._database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TEXT)
-                store.load(self._database)
-        except (PqsecError, OSError):
-            self._database.close()
-            raise
+        with self._errors("not a ledger: "):
+            self._open: _copies.LedgerCopy | None = _updated(store) or _loaded(store)
+
+    @property
+    def _copy(self) -> _copies.LedgerCopy:
+        if self._open is None:
+            raise RuntimeError("the ledger is closed")
+        return self._open
+
+    @property
+    def _database(self) -> sqlite3.Connection:
+        return self._copy.database
 
     def __enter__(self) -> Self:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
     def close(self) -> None:
-        """Free the memory."""
-        self._database.close()
+        """Free the memory, or keep the lines that the store has for the next question."""
+        copy, self._open = self._open, None
+        if copy:
+            if copy.database.in_transaction:
+                copy.database.execute("ROLLBACK")
+            _copies.give_back(copy)
 
     def append(self, entries: Iterable[Entry]) -> None:
         """Add these lines in memory, all or none; existing lines are skipped."""
-        with self._errors(), _table.transaction(self._database):
+        with self._errors(), _table.part_of_change(self._database):
             _table.append(self._database, entries)
 
     def stored(self, *, after: int = 0) -> list[tuple[Any, ...]]:
@@ -95,7 +102,14 @@ class Ledger:
     def to_file(self) -> bytes:
         """The lines as an SQLite database."""
         with self._errors():
+            if self._database.in_transaction:
+                self._database.execute("COMMIT")
+                self._copy.key = None
             return self._database.serialize()
+
+    def is_stored(self, store: LedgerStore) -> None:
+        """What `to_file` gave is in the store now."""
+        self._copy.key = store.key
 
     @property
     def head(self) -> str:
@@ -133,9 +147,10 @@ class Ledger:
             )
             yield from map(_table.line, rows)
 
-    def of_kind(self, kind: str) -> list[Entry]:
-        """The entries of that kind, oldest first."""
-        return self._find("kind = ? ORDER BY number", kind)
+    def of_kind(self, *kinds: str) -> list[Entry]:
+        """The entries of these kinds, oldest first."""
+        marks = ", ".join("?" for _ in kinds)
+        return self._find(f"kind IN ({marks}) ORDER BY number", *kinds)
 
     def of_name(self, kind: str, name: str) -> list[Entry]:
         """The entries of that kind and name, oldest first."""
@@ -168,10 +183,25 @@ class Ledger:
         """The entries of participants whose certificates were revoked for that reason."""
         return self._find(_REVOKED_FOR, reason)
 
-    def certified(self, until: str) -> Iterator[tuple[str, str, str]]:
-        """Name, SHA-256 and keys of each certificate that ends at `until` or later."""
+    def issued(self) -> dict[str, str]:
+        """The participant of each certificate, by its SHA-256."""
         with self._errors():
-            yield from self._database.execute(_CERTIFIED, (until,))
+            rows = self._database.execute(
+                "SELECT sha256, name FROM ledger WHERE kind = 'participant'"
+            )
+            return dict(rows.fetchall())
+
+    def certified(self, keys: Iterable[str], until: str) -> list[tuple[str, str, str]]:
+        """Key, name and SHA-256 of each certificate for these keys that ends at `until` or later.
+
+        `keys` are hashes, as of `key_hashes`.
+        """
+        with self._errors():
+            last = _table.begin_keys(self._database)
+            rows = self._database.execute(_KEYS_AFTER, (last,))
+            _table.add_keys(self._database, rows)
+            asked = json.dumps(list(keys)), until
+            return self._database.execute(_CERTIFIED, asked).fetchall()
 
     def participants(self, names: Collection[str] | None = None) -> Iterator[tuple[Any, ...]]:
         """For each participant, or each in `names`, what its newest lines say, sorted by name.
@@ -215,3 +245,23 @@ class Ledger:
             raise KeystoreError(
                 f"{self._place}: {otherwise}{error}", hint="restore it from a backup"
             ) from error
+
+
+def _updated(store: LedgerStore) -> _copies.LedgerCopy | None:
+    """The last copy, with all lines of the store; None if there is none of it."""
+    copy = _copies.take(store.key)
+    if copy and not store.update(copy.database):
+        copy.database.close()
+        return None
+    return copy
+
+
+def _loaded(store: LedgerStore) -> _copies.LedgerCopy:
+    copy = _copies.LedgerCopy.new(store.key)
+    try:
+        copy.database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, MAX_TEXT)
+        store.load(copy.database)
+    except BaseException:
+        copy.database.close()
+        raise
+    return copy

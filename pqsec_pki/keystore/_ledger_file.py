@@ -54,6 +54,20 @@ def load(private: Folder) -> bytes | None:
     return data
 
 
+def version(private: Folder) -> tuple[int, ...]:
+    """The version of the database, as of `file_version`; empty if `load` would find more."""
+    if any(private.kind(layout.LEDGER + each) is not None for each in _BESIDE):
+        return ()
+    with suppress(FileNotFoundError):
+        found = os.lstat(layout.LEDGER, dir_fd=private.handle)
+        if stat.S_ISREG(found.st_mode):
+            return (
+                *(found.st_dev, found.st_ino, found.st_size),
+                *(found.st_mtime_ns, found.st_ctime_ns),
+            )
+    return ()
+
+
 def check(private: Folder) -> None:
     """KeystoreError or PermissionError if the ledger could not be replaced."""
     private.refuse_outsiders()

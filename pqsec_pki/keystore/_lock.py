@@ -24,6 +24,8 @@ class _Held(threading.local):
 
     def __init__(self) -> None:
         self.roots: dict[tuple[int, Path], Folder] = {}
+        self.holds: dict[tuple[int, Path], int] = {}
+        self.count = 0
 
 
 _held = _Held()
@@ -43,11 +45,20 @@ def locked(root: Path) -> Iterator[Folder]:
     with Folder.opened(root) as folder:
         folder.refuse_outsiders()
         _lock(folder, fcntl.LOCK_EX)
-        _held.roots[this] = folder
+        _held.count += 1
+        _held.roots[this], _held.holds[this] = folder, _held.count
         try:
             yield folder
         finally:
-            del _held.roots[this]
+            del _held.roots[this], _held.holds[this]
+
+
+def hold_over(path: str) -> int:
+    """The number of this thread's hold of the lock of the keystore that has `path`; 0 for none."""
+    for (process, root), number in _held.holds.items():
+        if process == os.getpid() and path.startswith(f"{root}/"):
+            return number
+    return 0
 
 
 @contextmanager

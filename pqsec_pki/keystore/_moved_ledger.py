@@ -19,15 +19,8 @@ KIND, _FILE = "ledger", "sqlite"
 
 def moved_entry(head: str, place: str, now: datetime) -> Entry:
     """The line with which a ledger goes to `place`; `head` makes it another line each time."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=KIND,
-        name="",
-        serial=None,
-        sha256=hashlib.sha256(f"{head} {place}".encode()).hexdigest(),
-        not_after=None,
-        details={"moved to": place},
-    )
+    sha256 = hashlib.sha256(f"{head} {place}".encode()).hexdigest()
+    return Entry.of(KIND, "", sha256, now, details={"moved to": place})
 
 
 def refuse_moved(store: "LedgerStore") -> None:

@@ -24,8 +24,8 @@ from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._transaction import Transaction, refuse_detours
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED
 
-JOURNAL, PREPARED = ".journal", ".prepared"
 DRAFT = ".draft-"
 _NAME, _LINK = "moves.json", "link"
 _VALUES = attrgetter(*(each.name for each in fields(Entry)))

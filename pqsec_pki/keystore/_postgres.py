@@ -7,6 +7,7 @@ the commit, so lines are numbered and chained as with one machine.
 import hashlib
 import os
 import sqlite3
+import time
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Self
@@ -18,6 +19,7 @@ from psycopg.conninfo import make_conninfo
 from pqsec_pki.errors import KeystoreError, other_format, shown
 from pqsec_pki.keystore import _ledger_file, _postgres_schema, _table
 from pqsec_pki.keystore._address import LedgerAddress
+from pqsec_pki.keystore._copies import CopyKey
 
 _LOCK = int.from_bytes(hashlib.sha256(b"pqsec ledger").digest()[:8], "big", signed=True)
 """The number of the advisory lock."""
@@ -46,16 +48,17 @@ _SESSION_SQL = (
     " WHEN 'off' THEN 'on' ELSE current_setting('synchronous_commit') END, false)"
 )
 _COLUMNS = f"number, {_table.COLUMNS}, chain"
-_SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger WHERE number > %s ORDER BY number"  # noqa: S608 -- no outside text
+_SELECT = f"SELECT {_COLUMNS} FROM pqsec.ledger WHERE number >= %s ORDER BY number LIMIT %s"  # noqa: S608 -- no outside text
 _COPY = f"COPY pqsec.ledger ({_COLUMNS}) FROM STDIN"
 _KEEP = "INSERT INTO pqsec.files (sha256, content) VALUES (%s, %s) ON CONFLICT DO NOTHING"
+_STATE = "SELECT current_setting('transaction_read_only'), (SELECT max(version) FROM pqsec.format)"
 _KEPT = "SELECT sha256, content FROM pqsec.files WHERE sha256 = ANY(%s)"
 _MODE, _VERIFIED = "PGSSLMODE", "verify-full"
 _BATCH = 5000
 """Rows of one answer."""
-_known: dict[str, tuple[int, str, bytes]] = {}
-"""By address the ledger as this process read it last: its last line and all lines. Lines are only
-added, so who reads it again, as a server does, asks for the newer ones."""
+_LONGEST = 60.0
+"""Seconds after which a connection is made anew: the name may lead to another server by then, and
+the role or its password may be another."""
 _NOTHING = "nothing was changed: run the command again when the database answers"
 _GUIDE = "docs/how-to/postgresql.md"
 
@@ -66,8 +69,10 @@ class PostgresLedger:
     def __init__(self, address: LedgerAddress) -> None:
         """KeystoreError if it does not answer, or has no ledger of this version."""
         self.address = address
-        self._copy: bytes | None = None
-        self._in_change = False
+        self._made = time.monotonic()
+        self._holds = self._in_change = False
+        self._newest: tuple[int, str] | None = None
+        """The last line, while other writers are excluded and none was added."""
         with self._errors(), _service_verified(address):
             self._connection = psycopg.connect(
                 make_conninfo(address.url, **_defaults(address)),
@@ -93,58 +98,85 @@ class PostgresLedger:
         with suppress(psycopg.Error):
             self._connection.close()
 
+    def serves(self, address: LedgerAddress) -> bool:
+        """Whether it is one to `address`, and the server would let it begin again."""
+        if self.address != address or time.monotonic() - self._made > _LONGEST:
+            return False
+        try:
+            found = self._connection.execute(_STATE).fetchone()
+        except psycopg.Error:
+            return False
+        return found == ("off", _postgres_schema.FORMAT)
+
     @property
     def place(self) -> str:
         """Its address, for messages."""
         return self.address.place
 
+    @property
+    def key(self) -> CopyKey:
+        """Lines are only added: who has a copy asks for the newer ones."""
+        return CopyKey(self.address.url)
+
+    def update(self, database: sqlite3.Connection) -> bool:
+        """Add the newer lines, within a change as they are for it."""
+        last = _table.last(database)
+        if last == self._newest:
+            return True
+        with self._errors():
+            rows = self._rows(last[0])
+            first = next(rows, None)
+            if first is None or (first[0], first[-1]) != last:
+                return False
+            _table.extend(database, rows)
+        self._note(database)
+        return True
+
     def load(self, database: sqlite3.Connection) -> None:
         """All lines; within a change as they are for it."""
-        if self._copy is not None:
-            database.deserialize(self._copy)
-            return
-        with self._errors(), self._snapshot():
-            self._load(database)
-        copy = database.serialize()
-        _known[self.address.url] = (*_table.last(database), copy)
-        if self._in_change:
-            self._copy = copy
-
-    def _load(self, database: sqlite3.Connection) -> None:
-        number, chain, copy = _known.get(self.address.url, (0, "", b""))
-        known = copy and self.has(number, chain)
-        if known:
-            database.deserialize(copy)
         pages = database.execute("PRAGMA page_size").fetchone()[0]
         database.execute(f"PRAGMA max_page_count = {_ledger_file.MAX_SIZE // pages}")
-        if known:
-            _table.extend(database, self._rows(number))
-        else:
+        with self._errors():
             _table.fill(database, self._rows())
+        self._note(database)
+
+    def _note(self, database: sqlite3.Connection) -> None:
+        if self._in_change or self._holds:
+            self._newest = _table.last(database)
 
     def hold(self) -> None:
-        """Exclude other writers until the connection is closed."""
+        """Exclude other writers until `release`, or until the connection is closed."""
         with self._errors():
             self._connection.execute("SELECT pg_advisory_lock(%s)", (_LOCK,))
+        self._holds = True
+
+    def release(self) -> None:
+        """Let others write again; a connection that was lost does that by itself."""
+        self._holds, self._newest = False, None
+        with suppress(psycopg.Error):
+            self._connection.execute("SELECT pg_advisory_unlock(%s)", (_LOCK,))
+            return
+        self.close()
 
     @contextmanager
     def change(self) -> Iterator[None]:
         """Exclude other writers; what is not committed in the block is dropped."""
         with self._errors():
             self._connection.execute("BEGIN")
-            self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+            if not self._holds:
+                self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
         self._in_change = True
         try:
             yield
         finally:
-            self._in_change, self._copy = False, None
+            self._in_change, self._newest = False, None
             with suppress(psycopg.Error):
                 if self._connection.info.transaction_status:
                     self._connection.execute("ROLLBACK")
 
     def add(self, rows: Iterable[tuple[Any, ...]]) -> None:
         """Add lines, in rows of number, columns and chain value; `commit` makes them stay."""
-        self._copy = None
+        self._newest = None
         with self._errors(), self._connection.cursor() as cursor, cursor.copy(_COPY) as copy:
             for row in rows:
                 copy.write_row(row)
@@ -173,23 +205,14 @@ class PostgresLedger:
             ).fetchone()
         return found == (chain,)
 
-    def _rows(self, after: int = 0) -> Iterator[tuple[Any, ...]]:
-        with self._connection.cursor(name="pqsec") as cursor:
-            cursor.itersize = _BATCH
-            yield from cursor.execute(_SELECT, (after,))
-
-    @contextmanager
-    def _snapshot(self) -> Iterator[None]:
-        """One transaction for reading, unless a change is one already."""
-        if self._in_change:
-            yield
-            return
-        self._connection.execute("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY")
-        try:
-            yield
-        finally:
-            with suppress(psycopg.Error):
-                self._connection.execute("ROLLBACK")
+    def _rows(self, number: int = 0) -> Iterator[tuple[Any, ...]]:
+        """Line `number` and those after it. Lines are only added, so the answers fit together."""
+        while True:
+            rows = self._connection.execute(_SELECT, (number, _BATCH)).fetchall()
+            yield from rows
+            if len(rows) < _BATCH:
+                return
+            number = rows[-1][0] + 1
 
     def _refuse_format(self) -> None:
         [(found,)] = self._connection.execute("SELECT max(version) FROM pqsec.format").fetchall()

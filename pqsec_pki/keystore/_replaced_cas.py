@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 def refuse_replaced(root: Path, store: "LedgerStore") -> None:
     """KeystoreError if another machine replaced a CA, or changed which identity CAs are trusted."""
     with Ledger(store) as ledger:
-        identity = _identity_cas(each.entry for each in ledger.lines())
+        identity = _identity_cas(ledger.of_kind("identity-ca", "trust", "trust-end"))
         signers = ledger.of_kind("permissions-ca")
     newest = {each.sha256 for each in signers if each.at == signers[-1].at}
     if not (

@@ -1,6 +1,7 @@
 """Which keystores have their ledger in a database, and the connection of the change that is made.
 
 A thread that changes such a keystore asks and writes by one connection; others by one of their own.
+One that makes one change after the other, as a server, keeps its connection between them.
 """
 
 import os
@@ -24,6 +25,8 @@ class _Connections(threading.local):
 
     def __init__(self) -> None:
         self.open: dict[tuple[int, Path], PostgresLedger] = {}
+        self.spare: dict[tuple[int, Path], PostgresLedger] = {}
+        """Without locks, for the next question or change."""
 
 
 _connections = _Connections()
@@ -51,20 +54,42 @@ def reading(root: Path, folder: Folder) -> "Iterator[PostgresLedger | None]":
         yield open_one
     elif address := _settings.read_ledger(root / layout.SETTINGS):
         folder.refuse_outsiders()
-        with connected(address) as connection:
+        with _connection(root, address) as connection:
             yield connection
     else:
         yield None
 
 
 @contextmanager
+def _connection(
+    root: Path, address: LedgerAddress, *, keep: bool = False
+) -> "Iterator[PostgresLedger]":
+    """A connection without locks: the spare one, or a new one; with `keep` the spare one then."""
+    this = (os.getpid(), root)
+    spare = _connections.spare.pop(this, None)
+    if spare and not spare.serves(address):
+        spare.close()
+        spare = None
+    connection = spare or connected(address)
+    try:
+        yield connection
+    except BaseException:
+        connection.close()
+        raise
+    if spare or keep:
+        _connections.spare[this] = connection
+    else:
+        connection.close()
+
+
+@contextmanager
 def writing(
-    root: Path, address: LedgerAddress | None = None, *, hold: bool = False
+    root: Path, address: LedgerAddress | None = None, *, hold: bool = False, keep: bool = False
 ) -> "Iterator[PostgresLedger | None]":
     """The same, for who has locked the keystore: no other machine adds lines meanwhile.
 
     With `address` it is that database, whatever the settings say. With `hold` the block may make
-    any number of changes.
+    any number of changes; with `keep` its connection stays open for the next one of this thread.
     """
     this = (os.getpid(), root)
     if this in _connections.open and address is None:
@@ -75,13 +100,11 @@ def writing(
     if wanted is None:
         yield None
         return
-    with connected(wanted) as connection:
+    with _connection(root, wanted, keep=keep) as connection:
         if address is None:
             _connections.open[this] = connection
         try:
-            if hold:
-                connection.hold()
-            with _excluding(connection, hold=hold):
+            with _excluding(connection, hold=hold, begin=hold):
                 yield connection
         finally:
             if address is None:
@@ -89,9 +112,15 @@ def writing(
 
 
 @contextmanager
-def _excluding(connection: "PostgresLedger", *, hold: bool) -> "Iterator[PostgresLedger]":
+def _excluding(
+    connection: "PostgresLedger", *, hold: bool, begin: bool = False
+) -> "Iterator[PostgresLedger]":
+    if begin:
+        connection.hold()
     if hold:  # the block's changes are transactions of their own
         yield connection
     else:
         with connection.change():
             yield connection
+    if begin:  # after an error the connection is closed
+        connection.release()

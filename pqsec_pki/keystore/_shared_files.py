@@ -9,7 +9,7 @@ import binascii
 import hashlib
 import stat
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -99,6 +99,7 @@ def digest_of(file: str, data: bytes) -> str | None:
     return hashlib.sha256(data).hexdigest()
 
 
+@lru_cache(maxsize=16)  # those of the CAs are in every bundle
 def pem_fingerprint(data: bytes) -> str | None:
     """SHA-256 of the DER of the first certificate in PEM `data`; None if it is not base64."""
     _, _, block = data.partition(b"-----BEGIN")

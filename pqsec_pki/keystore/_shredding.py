@@ -19,10 +19,10 @@ _WRITE = os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 def hold(change: Folder, folder: Folder, name: str) -> None:
     """Create a hard link to the file `name` of `folder` in the staged change, if it exists."""
-    with suppress(FileExistsError):
-        os.mkdir(FOLDER, 0o700, dir_fd=change.handle)
     if folder.kind(name) != stat.S_IFREG:
         return
+    with suppress(FileExistsError):
+        os.mkdir(FOLDER, 0o700, dir_fd=change.handle)
     with change.below(FOLDER) as spent:
         os.link(
             *(name, secrets.token_hex(8)),

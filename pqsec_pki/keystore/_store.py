@@ -3,6 +3,8 @@
 import sqlite3
 from typing import Protocol
 
+from pqsec_pki.keystore._copies import CopyKey
+
 MAX_TEXT = 16 << 20
 """Bytes of one text in a line, or of all names in a question; our own lines have under 10,000."""
 
@@ -13,6 +15,13 @@ class LedgerStore(Protocol):
     @property
     def place(self) -> str:
         """Its path or address, for messages."""
+
+    @property
+    def key(self) -> CopyKey | None:
+        """What is there now; None if no copy of it can be used again."""
+
+    def update(self, database: sqlite3.Connection) -> bool:
+        """Add the newer lines to a copy of what was there; False if it had others."""
 
     def load(self, database: sqlite3.Connection) -> None:
         """Fill an empty database in memory with the table and its lines.

@@ -35,6 +35,12 @@ _SCHEMA = (
     """CREATE TRIGGER ledger_remains BEFORE DELETE ON ledger
         BEGIN SELECT RAISE (ABORT, 'lines are only added'); END""",
 )
+_KEYS = (
+    "CREATE TEMP TABLE IF NOT EXISTS certified (number INTEGER, key TEXT)",
+    "CREATE INDEX IF NOT EXISTS temp.certified_key ON certified (key)",
+    "CREATE INDEX IF NOT EXISTS temp.certified_number ON certified (number)",
+)
+"""They are no part of the ledger, and in no file."""
 COLUMNS = "at, kind, name, serial, sha256, not_after, issuer, details, operator"
 _DETAILS = COLUMNS.split(", ").index("details")
 _FILL = (
@@ -55,6 +61,23 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
         with suppress(sqlite3.Error):
             database.execute("ROLLBACK")
         raise
+
+
+@contextmanager
+def part_of_change(database: sqlite3.Connection) -> Iterator[None]:
+    """All changes of the block, or none; who asked for them commits them, or drops them."""
+    if not database.in_transaction:
+        database.execute("BEGIN IMMEDIATE")
+    database.execute("SAVEPOINT part")
+    try:
+        yield
+    except BaseException:
+        with suppress(sqlite3.Error):
+            database.execute("ROLLBACK TO part")
+        raise
+    finally:
+        with suppress(sqlite3.Error):
+            database.execute("RELEASE part")
 
 
 def format_of(database: sqlite3.Connection) -> int:
@@ -118,6 +141,21 @@ def rows(database: sqlite3.Connection, *, after: int = 0) -> Iterator[tuple[Any,
     """Such rows of the lines after number `after`, oldest first."""
     query = f"SELECT number, {COLUMNS}, chain FROM ledger WHERE number > ? ORDER BY number"  # noqa: S608
     yield from database.execute(query, (after,))
+
+
+def begin_keys(database: sqlite3.Connection) -> int:
+    """Create the table of certified keys beside the ledger, in memory; the last line in it."""
+    database.execute("PRAGMA temp_store = MEMORY")
+    for statement in _KEYS:
+        database.execute(statement)
+    found = database.execute("SELECT ifnull(max(number), 0) FROM temp.certified")
+    return int(found.fetchone()[0])
+
+
+def add_keys(database: sqlite3.Connection, rows: Iterable[tuple[int, str]]) -> None:
+    """Add the keys, separated by blanks, of lines by their numbers."""
+    pairs = ((number, key) for number, keys in rows for key in keys.split())
+    database.executemany("INSERT INTO temp.certified VALUES (?, ?)", pairs)
 
 
 def last(database: sqlite3.Connection) -> tuple[int, str]:

@@ -120,9 +120,11 @@ class Transaction:
         KeystoreError if a folder is at `place`.
         """
         refuse_detours(self.root, [os.path.dirname(place)])
-        if self.root.kind(place) == stat.S_IFDIR:
+        kind = self.root.kind(place)
+        if kind == stat.S_IFDIR:
             raise KeystoreError(f"{self.root.path}/{place} should be a file, and is a folder")
-        self.removed.append(place)
+        if kind is not None:
+            self.removed.append(place)
 
     def shred(self, place: str) -> None:
         """Overwrite the old content of the file at `place` after the change has replaced it."""

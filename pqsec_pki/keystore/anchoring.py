@@ -202,7 +202,7 @@ def _signed_by(checkpoint: Checkpoint, signers: list[Certificate]) -> bool:
 
 
 def _signers(root: Path) -> Iterator[list[Certificate]]:
-    """The signers of now, and those that were replaced."""
+    """The current signers, and those that were replaced."""
     yield signers_in(root / layout.PUBLIC)
     generations = root / layout.GENERATIONS
     with disk_errors(generations):

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Sequence
 from datetime import datetime
 
 from pqsec_pki.approvals import Approval, ApprovalPolicy, PlanProposal
-from pqsec_pki.errors import KeystoreError, MalformedError
+from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._ledger import Ledger
 
@@ -32,53 +32,30 @@ def policy_in(entry: Entry) -> ApprovalPolicy | None:
     try:
         return ApprovalPolicy.from_text(str(text))
     except MalformedError as error:
-        raise KeystoreError(
-            f"the ledger's line on approvals is damaged ({error})",
-            hint="`pqsec log --verify` shows which lines were altered",
-        ) from error
+        raise entry.damaged(str(error)) from error
 
 
 def policy_entry(policy: ApprovalPolicy | None, head: str, now: datetime) -> Entry:
     """The line with the policy, None for no approvals; `head` makes it another line each time."""
     text = policy.text if policy else ""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=POLICY,
-        name="",
-        serial=None,
-        sha256=hashlib.sha256(f"{head} {text}".encode()).hexdigest(),
-        not_after=None,
-        details={"rule": str(policy) if policy else "none are needed", _STATEMENT: text},
-    )
+    sha256 = hashlib.sha256(f"{head} {text}".encode()).hexdigest()
+    details = {"rule": str(policy) if policy else "none are needed", _STATEMENT: text}
+    return Entry.of(POLICY, "", sha256, now, details=details)
 
 
 def approval_entries(
     proposal: PlanProposal, approvals: Iterable[Approval], now: datetime
 ) -> list[Entry]:
     """The line with which an approved plan begins, and one for each approval."""
-    at, names = now.isoformat(timespec="seconds"), [each.approver for each in approvals]
-    begins = Entry(
-        at=at,
-        kind=PLAN,
-        name="",
-        serial=None,
-        sha256=proposal.digest,
-        not_after=None,
-        details={"approved by": ", ".join(names), "of": proposal.head},
-    )
-    return [begins, *(_approval_entry(each, at) for each in approvals)]
+    names = ", ".join(each.approver for each in approvals)
+    details = {"approved by": names, "of": proposal.head}
+    begins = Entry.of(PLAN, "", proposal.digest, now, details=details)
+    return [begins, *(_approval_entry(each, now) for each in approvals)]
 
 
-def _approval_entry(approval: Approval, at: str) -> Entry:
-    return Entry(
-        at=at,
-        kind=APPROVAL,
-        name=approval.approver,
-        serial=None,
-        sha256=approval.sha256,
-        not_after=None,
-        details={PLAN: approval.proposal, _STATEMENT: approval.to_file().decode()},
-    )
+def _approval_entry(approval: Approval, now: datetime) -> Entry:
+    details = {PLAN: approval.proposal, _STATEMENT: approval.to_file().decode()}
+    return Entry.of(APPROVAL, approval.approver, approval.sha256, now, details=details)
 
 
 def lines_since(lines: Sequence[Line], proposal: PlanProposal) -> Sequence[Line] | None:

@@ -105,7 +105,8 @@ def _hashes(path: Path) -> list[str]:
 
     All certificates of a file count: Fast DDS trusts every certificate in a CA's file.
     """
+    data = read(path)
     if path.name.endswith(layout.CERTIFICATE):
         with located(path):
-            return [each.fingerprint for each in Certificate.all_from_pem(read(path))]
-    return [hashlib.sha256(read(path)).hexdigest()]
+            return [each.fingerprint for each in Certificate.all_from_pem(data)]
+    return [hashlib.sha256(data).hexdigest()]

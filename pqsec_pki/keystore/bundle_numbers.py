@@ -8,7 +8,7 @@ import hashlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import field
-from functools import partial
+from functools import cache, partial
 from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
@@ -43,6 +43,8 @@ class BundleNumbers:
     there is none."""
     proofs: "LedgerProofs | None" = field(default=None, repr=False)
     """The proofs for bundles; None if there are none, or they were not asked for."""
+    linked: dict[str, bytes] = field(default_factory=dict, repr=False)
+    """The files that their enclaves share, as of `enclave_files`."""
 
     @classmethod
     @contextmanager
@@ -55,7 +57,7 @@ class BundleNumbers:
 
         with keystore.open_ledger() as ledger:
             proofs = LedgerProofs.of(keystore.root, ledger, tree)
-            yield cls(partial(ledger.line_of, _KINDS), _least(ledger), proofs)
+            yield cls(cache(partial(ledger.line_of, _KINDS)), _least(ledger), proofs)
 
     @classmethod
     def among(cls, ledger: Ledger) -> Self:

@@ -7,11 +7,13 @@ Beside the head are the roots of the complete subtrees, so that no older line is
 
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from functools import lru_cache
+from itertools import takewhile
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
-from pqsec_pki.algorithms import PublicKey
+from pqsec_pki.algorithms import PublicKey, load_public_key
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, located
 from pqsec_pki.keystore import layout
@@ -47,7 +49,7 @@ class SeenLedger:
             raise _lost(f"line {self.size}, which was there,")
         if head:
             size = head.head.size
-            new = (each for each in ledger.rows(after=self.signed.size) if each[0] <= size)
+            new = takewhile(lambda each: each[0] <= size, ledger.rows(after=self.signed.size))
             signed = self.signed.extended(leaf_of(*row) for row in new)
             if (signed.size, signed.root) != (size, head.head.root):
                 raise _lost(f"one of the {size} lines of which the CAs signed a head")
@@ -98,8 +100,14 @@ def read_head(root: Path) -> Checkpoint | None:
     if not exists(path):
         return None
     with located(path):
-        checkpoint = Checkpoint.from_bytes(read(path))
-        checkpoint.verify(signing_keys(signers_in(root / layout.PUBLIC)))
+        return _verified(read(path), *(each.spki for each in signers_in(root / layout.PUBLIC)))
+
+
+@lru_cache(maxsize=4)
+def _verified(head: bytes, *signers: bytes) -> Checkpoint:
+    """The head, if all these keys signed it, cached: a server asks for one three times."""
+    checkpoint = Checkpoint.from_bytes(head)
+    checkpoint.verify([load_public_key(each) for each in signers])
     return checkpoint
 
 

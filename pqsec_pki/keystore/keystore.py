@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Self
 
 from pqsec_pki import credentials
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, exists, read, read_within
+from pqsec_pki._files import disk_errors, exists, read, read_within, real_path
 from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
@@ -220,12 +220,13 @@ class Keystore:
         return self.root / layout.PUBLIC / layout.CA_LIST
 
     @contextmanager
-    def hold(self) -> Iterator[None]:
+    def hold(self, *, keep_connection: bool = False) -> Iterator[None]:
         """Lock the keystore against other commands; the holder may make any number of changes.
 
-        KeystoreError if another command locks it for half a minute.
+        KeystoreError if another command locks it for half a minute. Who holds it again and again
+        keeps the connection to a database with its ledger.
         """
-        with _journal.hold(self.root):
+        with _journal.hold(self.root, keep_connection=keep_connection):
             yield
 
     @property
@@ -338,10 +339,10 @@ class Keystore:
 
         Not of those that cannot be read.
         """
-        folder, found = self._enclave(name), set()
+        folder, found, root = self._enclave(name), set(), real_path(self.root)
         for each in layout.KEYS:
             with suppress(FileError):
-                if is_reference(read_within(self.root, folder / each, follow=False)):
+                if is_reference(read_within(root, folder / each, follow=False)):
                     found.add(each)
         return frozenset(found)
 

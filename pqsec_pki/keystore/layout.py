@@ -24,6 +24,8 @@ from pqsec_pki.errors import UsageError, shown
 SETTINGS = "pqsec.json"
 GROUPS = "groups.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
+JOURNAL, PREPARED = ".journal", ".prepared"
+"""A change after its commit, and just before it."""
 GENERATIONS = f"{PRIVATE}/generations"
 """CAs that have been replaced, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
@@ -124,12 +126,20 @@ def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
 
 def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, str]:
     """Of `shared_links`, those that are missing in the keystore at `root`, or lead elsewhere."""
-    folder = root / enclave_folder(name)
+    folder = f"{root}/{enclave_folder(name)}"
     return {
         link: target
         for link, target in shared_links(name, shared).items()
-        if not ((folder / link).is_symlink() and str((folder / link).readlink()) == target)
+        if _goal(f"{folder}/{link}") != target
     }
+
+
+def _goal(path: str) -> str | None:
+    """Where the link at `path` leads; None if there is none."""
+    try:
+        return os.readlink(path)  # noqa: PTH115 -- for thousands of links
+    except OSError:
+        return None
 
 
 def names_in(root: Path) -> list[str]:

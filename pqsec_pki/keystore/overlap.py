@@ -101,16 +101,9 @@ def trust_file(authorities: Sequence[Certificate]) -> bytes:
 
 def trust_entry(overlap: Overlap, now: datetime, *, end: str = "") -> Entry:
     """The ledger entry for the file of both CAs; `end` is how the overlap ended, if it did."""
-    both = trust_file((overlap.issuing, overlap.other))
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=TRUST_END if end else TRUST,
-        name=overlap.issuing.subject_name,
-        serial=None,
-        sha256=hashlib.sha256(both).hexdigest(),
-        not_after=None,
-        details={"overlap": end or overlap.phase.value},
-    )
+    sha256 = hashlib.sha256(trust_file((overlap.issuing, overlap.other))).hexdigest()
+    kind, details = TRUST_END if end else TRUST, {"overlap": end or overlap.phase.value}
+    return Entry.of(kind, overlap.issuing.subject_name, sha256, now, details=details)
 
 
 def trusted_last(entries: Collection[Entry]) -> Entry | None:

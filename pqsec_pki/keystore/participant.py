@@ -2,9 +2,10 @@
 
 import os
 from contextlib import suppress
+from functools import lru_cache
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, exists, read, read_within
+from pqsec_pki._files import disk_errors, exists, read, read_within, real_path
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_certificate, only_list
 from pqsec_pki.errors import FileError, KeystoreError, located, meant
@@ -20,27 +21,45 @@ def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> 
     cannot be read, PassphraseError for an encrypted key without `passphrase`.
     """
     folder = root / layout.enclave_folder(name)
-    files = _files(root, name, (*NEEDED, layout.KEY))
+    files = _files(root, name, (*NEEDED, layout.KEY), {})
     return Credentials.of(name, files, passphrase, pin=stored_pin, folder=folder)
 
 
-def enclave_files(root: Path, name: str) -> dict[str, bytes]:
+def enclave_files(
+    root: Path, name: str, linked: dict[str, bytes] | None = None
+) -> dict[str, bytes]:
     """The files of the participant called `name`, links followed, by their names in FILES.
 
+    Who asks for many participants keeps `linked`, so that what they share is read once.
     Files that are not NEEDED may be missing. KeystoreError if there is no such participant, or
     a needed file is missing. FileError for a link that leads out of the keystore, or a key that
     is a link: a bundle must not contain other files of this machine.
     """
-    return _files(root, name, NEEDED)
+    return _files(root, name, NEEDED, {} if linked is None else linked)
 
 
-def _files(root: Path, name: str, needed: tuple[str, ...]) -> dict[str, bytes]:
+def _files(
+    root: Path, name: str, needed: tuple[str, ...], linked: dict[str, bytes]
+) -> dict[str, bytes]:
     refuse_unknown(root, name)
     folder = root / layout.enclave_folder(name)
     with disk_errors(folder):
-        there = [each for each in FILES if exists(folder / each)]
-        _refuse_incomplete(folder, name, there, needed)
-        return {each: read_within(root, folder / each, follow=each not in KEYS) for each in there}
+        with os.scandir(folder) as found:
+            is_link = {each.name: each.is_symlink() for each in found}
+        known = [each for each in FILES if each in is_link]
+        links = {each for each in known if is_link[each]}
+        there = [each for each in known if each not in links or exists(folder / each)]
+        _refuse_incomplete(folder, name, there, needed, links)
+        real, files = real_path(root), {}
+        for each in there:
+            path = folder / each
+            # Without pathlib: bundles are made of thousands of files.
+            goal = os.path.normpath(f"{folder}/{os.readlink(path)}") if each in links else ""  # noqa: PTH115
+            data = linked.get(goal) or read_within(real, path, follow=each not in KEYS)
+            files[each] = data
+            if goal:
+                linked[goal] = data
+        return files
 
 
 def refuse_unknown(root: Path, name: str) -> None:
@@ -76,7 +95,13 @@ def load_certificate(path: Path) -> Certificate:
 def load_first_certificate(path: Path) -> Certificate:
     """The first certificate in PEM file `path`: in a CA's file, the issuing CA."""
     with located(path):
-        return Certificate.from_pem(read(path))
+        return _first_certificate(read(path))
+
+
+@lru_cache(maxsize=8)
+def _first_certificate(data: bytes) -> Certificate:
+    """The first certificate in PEM `data`, cached: each change asks for those of the CAs."""
+    return Certificate.from_pem(data)
 
 
 def load_revocation_list(path: Path) -> RevocationList:
@@ -84,12 +109,13 @@ def load_revocation_list(path: Path) -> RevocationList:
     return only_list(read(path), str(path))
 
 
-def _refuse_incomplete(folder: Path, name: str, there: list[str], needed: tuple[str, ...]) -> None:
+def _refuse_incomplete(
+    folder: Path, name: str, there: list[str], needed: tuple[str, ...], links: set[str]
+) -> None:
     """KeystoreError that names the missing files; ROS 2 does not name them.
 
     A broken link to a revocation list counts as missing: ROS 2 then revokes nothing.
     """
-    links = {each for each in FILES if (folder / each).is_symlink()}
     missing = [each for each in FILES if each not in there and each in {*needed, *links}]
     if missing == [layout.KEY] and exists(folder / layout.REQUEST):
         raise KeystoreError(

@@ -21,6 +21,8 @@ class LedgerProofs:
     tree: MerkleTree = field(repr=False)
     ledger: Ledger = field(repr=False)
     """It is open."""
+    _found: dict[tuple[str, str], ProvenLine | None] = field(default_factory=dict, repr=False)
+    """By kind and SHA-256: bundles share the governance."""
 
     @classmethod
     def of(cls, root: Path, ledger: Ledger, tree: MerkleTree | None = None) -> Self | None:
@@ -45,10 +47,17 @@ class LedgerProofs:
     def proof(self, enclaves: Iterable[Mapping[str, bytes]]) -> LedgerProof | None:
         """The proof for the files of these enclaves; None if a line is not in the signed tree."""
         wanted = dict.fromkeys(each for files in enclaves for each in logged_hashes(files))
-        rows = [row for each in wanted if (row := self._row(*each))]
-        if len(rows) < len(wanted):
+        lines = [line for each in wanted if (line := self._line(*each))]
+        if len(lines) < len(wanted):
             return None
-        return LedgerProof(self.checkpoint, tuple(map(self._proven, rows)))
+        return LedgerProof(self.checkpoint, tuple(lines))
+
+    def _line(self, kind: str, sha256: str) -> ProvenLine | None:
+        """The line with its path, if the head is over it."""
+        if (kind, sha256) not in self._found:
+            row = self._row(kind, sha256)
+            self._found[kind, sha256] = self._proven(row) if row else None
+        return self._found[kind, sha256]
 
     def _row(self, kind: str, sha256: str) -> Row | None:
         """The line, if the head is over it."""
@@ -61,7 +70,7 @@ class LedgerProofs:
 
 
 def _grow(tree: MerkleTree, ledger: Ledger) -> None:
-    """Append the lines that are not in the tree; all again, if its last one is another now."""
+    """Append the lines that are not in the tree; all lines, if its last one was replaced."""
     if tree.size:
         last = ledger.row(tree.size)
         if last is None or leaf_of(*last) != tree.leaf(tree.size - 1):

@@ -13,7 +13,7 @@ from typing import Any, Self
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import FILES, KEYS
-from pqsec_pki.errors import KeystoreError, MalformedError, PqsecError, shown
+from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore.bundle_numbers import bundle_number
@@ -50,26 +50,17 @@ class Receipt:
         try:
             return cls.from_json(str(entry.details.get(_STATEMENT)).encode())
         except MalformedError:
-            raise KeystoreError(
-                f"the ledger's line on the receipt of {shown(entry.name)} is damaged",
-                hint="`pqsec log --verify` shows which lines were altered",
-            ) from None
+            raise entry.damaged() from None
 
     def entry(self, certificate: Certificate, now: datetime) -> Entry:
         """The ledger entry of this receipt, which the holder of `certificate` signed."""
-        return Entry(
-            at=now.isoformat(timespec="seconds"),
-            kind=RECEIPT,
-            name=self.participant,
-            serial=f"{certificate.serial_number:x}",
-            sha256=self.sha256,
-            not_after=None,
-            details={
-                "bundle": str(self.bundle or ""),
-                "installed": self.installed_at.isoformat(),
-                _STATEMENT: self.to_json().decode(),
-            },
-        )
+        details = {
+            "bundle": str(self.bundle or ""),
+            "installed": self.installed_at.isoformat(),
+            _STATEMENT: self.to_json().decode(),
+        }
+        serial = certificate.serial_number
+        return Entry.of(RECEIPT, self.participant, self.sha256, now, serial=serial, details=details)
 
     def to_json(self) -> bytes:
         """The statement; the same bytes for the same receipt."""

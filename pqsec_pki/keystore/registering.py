@@ -12,7 +12,7 @@ from pqsec_pki._times import said
 from pqsec_pki.algorithms import PublicKey
 from pqsec_pki.approvals import EnrolmentOrder, RegistrationGrant, SignedGrant
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import KeystoreError, MalformedError, VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.problems import Code
@@ -87,44 +87,25 @@ class Registration:
 def grant_entry(signed: SignedGrant, now: datetime) -> Entry:
     """The line with a grant."""
     grant = signed.grant
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=GRANT,
-        name=grant.authority,
-        serial=None,
-        sha256=grant.digest,
-        not_after=grant.ends.isoformat(),
-        details={"limits": str(grant), _STATEMENT: signed.to_file().decode()},
+    details = {"limits": str(grant), _STATEMENT: signed.to_file().decode()}
+    return Entry.of(
+        GRANT, grant.authority, grant.digest, now, not_after=grant.ends, details=details
     )
 
 
 def grant_end_entry(grant: RegistrationGrant, now: datetime) -> Entry:
     """The line with which a grant ends."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=GRANT_END,
-        name=grant.authority,
-        serial=None,
-        sha256=grant.digest,
-        not_after=None,
-    )
+    return Entry.of(GRANT_END, grant.authority, grant.digest, now)
 
 
 def order_entry(order: EnrolmentOrder, authority: str, now: datetime) -> Entry:
     """The line of an order, which is written with its certificates."""
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=ORDER,
-        name=authority,
-        serial=None,
-        sha256=order.digest,
-        not_after=None,
-        details={
-            _GRANT: order.grant,
-            _COUNT: str(len(order.items)),
-            _STATEMENT: order.to_file().decode(),
-        },
-    )
+    details = {
+        _GRANT: order.grant,
+        _COUNT: str(len(order.items)),
+        _STATEMENT: order.to_file().decode(),
+    }
+    return Entry.of(ORDER, authority, order.digest, now, details=details)
 
 
 def order_in(entry: Entry) -> EnrolmentOrder:
@@ -132,9 +113,9 @@ def order_in(entry: Entry) -> EnrolmentOrder:
     try:
         found = EnrolmentOrder.from_file(str(entry.details.get(_STATEMENT, "")).encode())
     except MalformedError as error:
-        raise _damaged(entry, str(error)) from error
+        raise entry.damaged(str(error)) from error
     if found.digest != entry.sha256:
-        raise _damaged(entry, "it has another order")
+        raise entry.damaged("it has another order")
     return found
 
 
@@ -170,7 +151,7 @@ def registration(keystore: Keystore, digest: str) -> Registration:
     raise VerificationError(
         "it was ordered by a grant that this keystore does not have",
         code=Code.WRONG_SUBJECT,
-        hint="`pqsec ra list` shows the grants; one of before `ca rotate` is for another CA",
+        hint="`pqsec ra list` shows the grants; a grant from before `ca rotate` was for another CA",
     )
 
 
@@ -211,7 +192,7 @@ def _keys(ca: Certificate) -> Iterator[PublicKey]:
 def _count(entry: Entry) -> int:
     text = entry.details.get(_COUNT, "")
     if not text.isascii() or not text.isdigit():
-        raise _damaged(entry, "no number")
+        raise entry.damaged("no number")
     return int(text)
 
 
@@ -219,14 +200,7 @@ def _signed(entry: Entry) -> SignedGrant:
     try:
         found = SignedGrant.from_file(str(entry.details.get(_STATEMENT, "")).encode())
     except MalformedError as error:
-        raise _damaged(entry, str(error)) from error
+        raise entry.damaged(str(error)) from error
     if found.grant.digest != entry.sha256:
-        raise _damaged(entry, "it has another grant")
+        raise entry.damaged("it has another grant")
     return found
-
-
-def _damaged(entry: Entry, why: str) -> KeystoreError:
-    return KeystoreError(
-        f"the ledger's line on {entry.kind} {entry.name} is damaged ({why})",
-        hint="`pqsec log --verify` shows which lines were altered",
-    )

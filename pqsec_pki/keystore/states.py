@@ -11,7 +11,7 @@ from functools import lru_cache
 from sys import intern
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.errors import KeystoreError, shown
+from pqsec_pki.keystore._chain import damaged_line
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
@@ -186,10 +186,7 @@ def _times(name: str, *texts: str) -> list[datetime]:
     try:
         return [_time(text) for text in texts]
     except ValueError:
-        raise KeystoreError(
-            f"the ledger's line on participant {shown(name)} is damaged",
-            hint="`pqsec log --verify` shows which lines were altered",
-        ) from None
+        raise damaged_line("participant", name) from None
 
 
 _time = lru_cache(maxsize=1024)(datetime.fromisoformat)

@@ -2,8 +2,9 @@
 
     seen            the values: participants, and the topics that they were seen to use
     cyclone_trace   reads traces of Cyclone DDS
+    fastdds_dump    reads what Fast DDS Monitor saves
     node_info       reads the output of `ros2 node info`
-    recording       reads files of either kind, names participants and merges them
+    recording       reads files of each kind, names participants and merges them
     proposing       the permissions that allow what was seen
     comparing       the differences to the permissions in a keystore
     learned         all of these as one value

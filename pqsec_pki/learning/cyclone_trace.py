@@ -16,8 +16,14 @@ from dataclasses import field
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action
-from pqsec_pki.documents import MAX_DOMAIN, ros
-from pqsec_pki.errors import MalformedError, UsageError
+from pqsec_pki.errors import MalformedError
+from pqsec_pki.learning._discovered import (
+    ACTIONS,
+    DiscoveredParticipant,
+    domain_in,
+    enclave_in,
+    endpoint,
+)
 from pqsec_pki.learning.seen import Endpoint, SeenParticipant
 
 IS_LINE = re.compile(r"\s*\d+\.\d{6} \[(\d*)\] .{10}: ?(.*)", re.ASCII)
@@ -33,48 +39,21 @@ _KINDS = (
 )
 """Which lines are needed, and what they must be in full."""
 
-_ACTIONS = {
-    0x02: Action.PUBLISH,
-    0x03: Action.PUBLISH,
-    0x04: Action.SUBSCRIBE,
-    0x07: Action.SUBSCRIBE,
-}
-"""Kind of entity -> action (RTPS 2.5, table 9.1). Others are built in, or topics."""
 _OF_THE_PROCESS = ("__BUILT-IN PARTITION__",)
 """Of readers of Cyclone DDS's own topics, which are not on the network."""
 _USER_DATA = re.compile(r"user_data=\d+<")
 _OCTETS = re.compile(r'"([^"]*)"|(\d{1,3})')
-_ENCLAVE = re.compile(r"(?:\A|;)enclave=([^;]*);")
 _ENTITY_NAME = re.compile(r'\bentity_name="([^"]*)"')
 _PROCESS = re.compile(r'"__ProcessName":"([^"]*)"')
 _TOPIC = re.compile(r'(?:\A|,)topic_name="([^"]+)",type_name="')
 _PARTITIONS = re.compile(r'\bpartition=\{((?:"[^"]*"(?:,"[^"]*")*)?)\}')
-_NODE = re.compile(r"rq(/.+)/get_parametersRequest")
-"""The service that shows a node; nodes can be without it."""
-
-
-@dataclass(slots=True)
-class _TracedParticipant:
-    enclave: str = ""
-    label: str = ""
-    endpoints: dict[Endpoint, None] = field(default_factory=dict)
-
-    def seen(self) -> SeenParticipant:
-        nodes = tuple(dict.fromkeys(_nodes(self.endpoints)))
-        unnamed = self.enclave in {"", "/"}  # `/` is the enclave of nodes that were given none
-        return SeenParticipant(
-            name=(nodes[0] if nodes else "") if unnamed else self.enclave,
-            label=self.label,
-            nodes=nodes,
-            endpoints=frozenset(self.endpoints),
-        )
 
 
 @dataclass(slots=True)
 class CycloneTrace:
     """The participants that the lines so far show."""
 
-    _found: dict[str, _TracedParticipant] = field(default_factory=dict)
+    _found: dict[str, DiscoveredParticipant] = field(default_factory=dict)
     """By the prefix of their GUIDs."""
     needed: int = 0
     """Lines about participants and endpoints so far."""
@@ -97,23 +76,17 @@ class CycloneTrace:
             participant = self._participant(found)
             participant.label = _label(found["qos"]) or participant.label
             participant.enclave = _enclave(found["qos"]) or participant.enclave
-        elif action := _ACTIONS.get(int(found["entity"][-2:], 16)):
-            endpoint = _endpoint(_domain(domain), action, found["qos"])
-            if endpoint.partitions != _OF_THE_PROCESS:
-                self._participant(found).endpoints[endpoint] = None
+        elif action := ACTIONS.get(int(found["entity"][-2:], 16)):
+            seen = _endpoint(domain_in(domain), action, found["qos"])
+            if seen.partitions != _OF_THE_PROCESS:
+                self._participant(found).endpoints[seen] = None
 
-    def _participant(self, found: re.Match[str]) -> _TracedParticipant:
-        return self._found.setdefault(found["guid"], _TracedParticipant())
+    def _participant(self, found: re.Match[str]) -> DiscoveredParticipant:
+        return self._found.setdefault(found["guid"], DiscoveredParticipant())
 
     def participants(self) -> list[SeenParticipant]:
         """In the order of their first lines."""
         return [each.seen() for each in self._found.values()]
-
-
-def _domain(text: str) -> int:
-    if not text or len(text) > len(str(MAX_DOMAIN)) or int(text) > MAX_DOMAIN:
-        raise MalformedError(f"'{text[:20]}' is not a domain from 0 to {MAX_DOMAIN}")
-    return int(text)
 
 
 def _endpoint(domain: int, action: Action, qos: str) -> Endpoint:
@@ -121,18 +94,16 @@ def _endpoint(domain: int, action: Action, qos: str) -> Endpoint:
     if topic is None or (partitions is None and "partition={" in qos):
         raise MalformedError("its topic or its partitions cannot be read")
     names = re.findall(r'"([^"]*)"', partitions[1]) if partitions else []
-    # A partition without a name is the default partition (DDS 1.4, 2.2.3.13).
-    return Endpoint(domain, action, topic[1], tuple(sorted({*names})) if any(names) else ())
+    return endpoint(domain, action, topic[1], names)
 
 
 def _enclave(qos: str) -> str:
     data = _USER_DATA.search(qos)
     octets, end, _ = qos[data.end() :].partition(">") if data else ("", "", "")
-    text = "".join(_characters(octets)) if end else ""
-    found = _ENCLAVE.search(text)
-    if "enclave=" in text and found is None:
+    found = enclave_in("".join(_characters(octets)) if end else "")
+    if found is None:
         raise MalformedError("its enclave is cut: Cyclone DDS writes 100 bytes of user data")
-    return found[1] if found else ""
+    return found
 
 
 def _characters(octets: str) -> Iterator[str]:
@@ -144,19 +115,3 @@ def _characters(octets: str) -> Iterator[str]:
 def _label(qos: str) -> str:
     found = _ENTITY_NAME.search(qos) or _PROCESS.search(qos)
     return found[1] if found else ""
-
-
-def _nodes(endpoints: dict[Endpoint, None]) -> Iterator[str]:
-    for endpoint in endpoints:
-        found = _NODE.fullmatch(endpoint.topic)
-        if found and endpoint.action is Action.SUBSCRIBE and is_node(found[1]):
-            yield found[1]
-
-
-def is_node(name: str) -> bool:
-    """Whether a node of ROS 2 can have this full name."""
-    try:
-        ros.node_minimum(name)
-    except UsageError:
-        return False
-    return True

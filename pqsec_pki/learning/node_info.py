@@ -19,7 +19,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Action
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import MalformedError, shown
-from pqsec_pki.learning.cyclone_trace import is_node
+from pqsec_pki.learning._discovered import is_node
 from pqsec_pki.learning.seen import Endpoint, SeenParticipant
 
 IS_NODE = re.compile(r"(/\S+)")

@@ -10,6 +10,7 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import MalformedError, UsageError, located, meant, shown
 from pqsec_pki.keystore import regular_name
 from pqsec_pki.learning.cyclone_trace import IS_LINE, CycloneTrace
+from pqsec_pki.learning.fastdds_dump import participants_in
 from pqsec_pki.learning.node_info import IS_NODE, NodeInfo
 from pqsec_pki.learning.seen import NotProposed, SeenParticipant, UnreadLine
 
@@ -36,11 +37,11 @@ class Recording:
 def read_recordings(
     paths: Sequence[Path], *, domain: int = 0, names: Mapping[str, str] | None = None
 ) -> Recording:
-    """Read traces of Cyclone DDS and outputs of `ros2 node info`; each file's kind is recognised.
+    """Read traces of Cyclone DDS, dumps of Fast DDS Monitor and outputs of `ros2 node info`.
 
     `domain` is that of the outputs. `names` gives a participant another name: the key is its
     name, or its label if it has no name. FileError if a file cannot be read; MalformedError if
-    it is of neither kind or shows nothing; UsageError for a key that no participant has.
+    it is of no such kind or shows nothing; UsageError for a key that no participant has.
     """
     DomainSet.of(domain)
     trace = CycloneTrace()  # of all files: one may go on where another ended
@@ -69,7 +70,10 @@ def _read(
     path: Path, trace: CycloneTrace, domain: int
 ) -> tuple[list[SeenParticipant], list[UnreadLine]]:
     """Read a file into `trace`; or the nodes that it shows. And the lines that are not read."""
-    lines = read(path, limit=MAX_RECORDING).decode(errors="surrogateescape").split("\n")
+    text = read(path, limit=MAX_RECORDING).decode(errors="surrogateescape")
+    if text.lstrip().startswith("{"):
+        return participants_in(text, domain), []
+    lines = text.split("\n")
     first = next((each for each in lines if each.strip()), "")
     if IS_LINE.fullmatch(first):
         before = trace.needed
@@ -84,7 +88,9 @@ def _read(
         if reason := info.unfinished:
             unread.append(UnreadLine(path, len(lines), reason))
         return info.participants(), unread
-    kinds = "is neither a trace of Cyclone DDS nor the output of `ros2 node info`"
+    kinds = (
+        "is not a trace of Cyclone DDS, a dump of Fast DDS Monitor or output of `ros2 node info`"
+    )
     raise MalformedError(kinds if first else "is empty")
 
 

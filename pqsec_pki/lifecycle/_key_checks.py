@@ -34,11 +34,9 @@ def refuse_shared(
     for name, keys in asked.items():
         for each in key_hashes(*keys).split():
             _refuse_second(name, holders.setdefault(each, name))
-    revoked = {each.sha256 for each in ledger.of_kind("revocation")}
-    for other, sha256, certified in ledger.certified(now.isoformat()):
-        asking = next((holders[each] for each in certified.split() if each in holders), other)
-        if sha256 not in revoked:
-            _refuse_second(asking, other)
+    for key, other, sha256 in ledger.certified(holders, now.isoformat()):
+        if not ledger.line_of(("revocation",), sha256):
+            _refuse_second(holders[key], other)
 
 
 def _refuse_second(name: str, holder: str) -> None:

@@ -123,7 +123,7 @@ def _make(
     )
     if keys.csr:
         folder.public(layout.REQUEST, keys.csr)
-    for link, target in layout.shared_links(spec.name, shared).items():
+    for link, target in layout.missing_links(issuer.keystore.root, spec.name, shared).items():
         folder.link(link, target)
     permissions = permissions_for(spec, certificate) if sign_permissions else None
     asked = end_of(issuer.now, spec.validity)

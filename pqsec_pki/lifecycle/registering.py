@@ -36,7 +36,8 @@ def add_registration(
                 )
             if each.grant.digest == grant.digest:  # the ledger has its line, and that of its end
                 raise ExistsError(
-                    "exactly this grant was ended", hint="another second makes it another one"
+                    "the same grant was ended before",
+                    hint="run the command again: the new grant has another time",
                 )
         signed = grant.signed_by([*_identity_keys(authorities)])
         transaction.record(grant_entry(signed, now))

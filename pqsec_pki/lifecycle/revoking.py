@@ -255,7 +255,7 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
 def _expired(subject: str, end: datetime) -> KeystoreError:
     return KeystoreError(
         f"{subject} expired on {said(end)}: no participant accepts it",
-        hint="there is nothing to revoke; a server with `renew_expired` renews it no more if the"
+        hint="there is nothing to revoke; a server with `renew_expired` no longer renews it if the"
         " domain file does not name it",
     )
 

@@ -12,17 +12,16 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
-from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, KEY, PERMISSIONS
+from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, KEY, PERMISSIONS, SIX
 from pqsec_pki.errors import FileError, PqsecError
-from pqsec_pki.keystore import SETTINGS, Keystore
+from pqsec_pki.keystore import SETTINGS, Keystore, layout
 from pqsec_pki.lint.file import File, file_with
-from pqsec_pki.lint.subjects import SIX
 
 MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000 files; the limit stops at a home folder."""
 MAX_BYTES = 1 << 30
 """Of all files together, which stay in memory: that keystore has 0.2 GB."""
-JOURNAL, PREPARED, LEDGER = ".journal", ".prepared", "private/ledger.sqlite3"
+LEDGER = f"{layout.PRIVATE}/{layout.LEDGER}"
 
 # In a folder, only files with such a name are read, including backup copies (key.pem~).
 _RELEVANT = re.compile(
@@ -72,12 +71,12 @@ class Search:
             self.missing_parts[path] = missing
         links = [link for folder, names in self._walk(path) for link in self._here(folder, names)]
         for link in links:  # after all files, so that these get their own paths
-            self._link(link)
+            self._link(*link)
 
     def _settings(self, root: Path) -> None:
         """Read the settings of a keystore; if a change was interrupted, only record that."""
         path = root / SETTINGS
-        for name in (JOURNAL, PREPARED):
+        for name in (layout.JOURNAL, layout.PREPARED):
             if os.path.lexists(root / name):
                 self.interrupted_change = root / name
                 return
@@ -110,16 +109,16 @@ class Search:
     def _walk(self, root: Path) -> Iterator[tuple[Path, list[str]]]:
         for folder, folders, names in os.walk(root, onerror=self._unlisted):
             path = Path(folder)
-            folders[:] = sorted(name for name in folders if not _is_past(path / name))
-            for link in (path / name for name in folders if ENCLAVES in path.parts):
-                if os.path.islink(link):  # noqa: PTH114 -- no error where a folder is closed
-                    self._unread(link, "a link to a folder, which is not followed")
+            folders[:] = sorted(name for name in folders if not _is_past(path, name))
+            for name in folders if ENCLAVES in path.parts else ():
+                if os.path.islink(f"{folder}/{name}"):  # noqa: PTH114 -- no error where it is closed
+                    self._unread(path / name, "a link to a folder, which is not followed")
             with suppress(OSError):  # removed in the meantime
                 self.folders[path] = path.stat().st_mode
             yield path, sorted(names)
 
-    def _here(self, folder: Path, names: list[str]) -> Iterator[Path]:
-        """Add the files of a folder; return its links."""
+    def _here(self, folder: Path, names: list[str]) -> Iterator[tuple[Path, str]]:
+        """Add the files of a folder; return its links, each with the folder."""
         ours = dict(self._looked_at(folder, names))
         links = {name for name, found in ours.items() if stat.S_ISLNK(found.st_mode)}
         if _is_enclave(folder, ours):
@@ -131,29 +130,31 @@ class Search:
         for name, found in ours.items():
             if name not in links and stat.S_ISREG(found.st_mode):
                 self._file(folder / name, found)
-        return (folder / name for name in sorted(links))
+        return ((folder, name) for name in sorted(links))
 
     def _looked_at(self, folder: Path, names: list[str]) -> Iterator[tuple[str, os.stat_result]]:
+        place = str(folder)
         for name in filter(_RELEVANT.search, names):
             try:
-                yield name, os.lstat(f"{folder}/{name}")
+                yield name, os.lstat(f"{place}/{name}")
             except OSError as error:
                 self._unlisted(error)
 
-    def _link(self, link: Path) -> None:
+    def _link(self, folder: Path, name: str) -> None:
         """Add the link's target; if that cannot be accessed, the link is unreadable."""
         key = None
         try:
-            found = link.stat()
+            found = os.stat(f"{folder}/{name}")  # noqa: PTH116 -- faster, for thousands of links
         except OSError as error:
             if error.errno not in _NO_TARGET:
-                key = self._closed(link, (error.strerror or str(error)).lower())
+                key = self._closed(folder / name, (error.strerror or str(error)).lower())
         else:
             if stat.S_ISREG(found.st_mode):
-                self._file(link, found)
                 key = (found.st_dev, found.st_ino)
-        if link.parent in self.enclaves:
-            self.enclaves[link.parent][link.name] = key
+                if key not in self.files:  # as the target of another link
+                    self._file(folder / name, found)
+        if folder in self.enclaves:
+            self.enclaves[folder][name] = key
 
     def _closed(self, link: Path, reason: str) -> tuple[int, int] | None:
         try:
@@ -192,7 +193,7 @@ def _missing_parts(root: Path) -> tuple[str, ...]:
     A keystore of pqsec has settings or a ledger: a keystore of SROS2 and a robot's copy have
     neither. Files in a folder that cannot be opened do not count as missing.
     """
-    names = (SETTINGS, "private", LEDGER)
+    names = (SETTINGS, layout.PRIVATE, LEDGER)
     missing = tuple(each for each in names if _is_missing(root / each))
     if missing == (LEDGER,) and _has_database(root):
         return ()
@@ -216,12 +217,13 @@ def _is_missing(path: Path) -> bool:
     return False
 
 
-def _is_past(folder: Path) -> bool:
-    """Whether the folder holds replaced CAs, or a draft of a command that was killed.
+def _is_past(parent: Path, name: str) -> bool:
+    """Whether the folder there holds replaced CAs, or a draft of a command that was killed.
 
     Replaced CAs are no longer trusted; the next command that writes removes the draft.
     """
-    return folder.parts[-2:] == ("private", "generations") or bool(_DRAFT.fullmatch(folder.name))
+    is_of_cas = name == "generations" and parent.name == "private"
+    return is_of_cas or _DRAFT.fullmatch(name) is not None
 
 
 def _is_enclave(folder: Path, names: Iterable[str]) -> bool:

@@ -9,7 +9,7 @@ from pqsec_pki.credentials import ENCLAVES, TrustAnchors
 from pqsec_pki.errors import FileError, UsageError
 from pqsec_pki.lint._anchors import SharedAnchors
 from pqsec_pki.lint._search import Search
-from pqsec_pki.lint.document import Document, Documents
+from pqsec_pki.lint.document import Document, Documents, same_lines
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.profile import profile_file_of
 from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
@@ -53,13 +53,14 @@ def take_inventory(
     profiles = {each.path: found for each in all_xml if (found := profile_file_of(each))}
     documents = tuple(each for each in all_xml if each.path not in profiles)
     certificates = tuple(CertificateFile(file) for file in files if "CERTIFICATE" in file.labels)
-    subjects: dict[Path, Document | CertificateFile] = {each.path: each for each in certificates}
-    subjects |= {each.path: each for each in documents}
+    subjects: dict[File, Document | CertificateFile] = {each.file: each for each in certificates}
+    subjects |= {each.file: each for each in documents}
+    by_path = {each.path: each for each in documents}
     return Inventory(
         path=named[0],
         files=files,
         folders=search.folders,
-        documents=tuple(each for each in documents if not _is_copy(each, subjects)),
+        documents=tuple(each for each in documents if not _is_copy(each, by_path)),
         profiles=tuple(profiles.values()),
         certificates=certificates,
         enclaves=tuple(_enclaves(search, subjects, SharedAnchors(anchors))),
@@ -75,26 +76,22 @@ def _is_document(file: File, search: Search) -> bool:
         return False
     if file.looks_like_document or _DOCUMENT.fullmatch(file.path.name):
         return True
-    return file.path in search.named and not file.labels  # the user named it as a document
+    return not file.labels and file.path in search.named  # the user named it as a document
 
 
-def _is_copy(document: Document, subjects: Mapping[Path, Document | CertificateFile]) -> bool:
+def _is_copy(document: Document, by_path: Mapping[Path, Document]) -> bool:
     """Whether it is the signed form of an XML file next to it, with the same text.
 
     Findings are then reported for the XML file, where they can be fixed.
     """
-    beside = subjects.get(document.path.with_suffix(".xml"))
-    if not document.file.is_signed or not isinstance(beside, Document):
+    if not document.file.is_signed or document.xml is None:
         return False
-    return document.xml is not None and _lines(document.xml) == _lines(beside.xml)
-
-
-def _lines(xml: bytes | None) -> list[bytes]:
-    return (xml or b"").strip().splitlines()
+    beside = by_path.get(document.path.with_suffix(".xml"))
+    return beside is not None and same_lines(document.xml, beside.xml or b"")
 
 
 def _enclaves(
-    search: Search, subjects: Mapping[Path, Document | CertificateFile], anchors: SharedAnchors
+    search: Search, subjects: Mapping[File, Document | CertificateFile], anchors: SharedAnchors
 ) -> Iterator[EnclaveFolder]:
     for folder, names in search.enclaves.items():
         files = {name: search.files[key] for name, key in names.items() if key in search.files}
@@ -106,7 +103,7 @@ def _enclaves(
             broken_links=broken,
             now=search.now,
             proof_demanded=search.proofs,
-            inventory_files=subjects,
+            subjects={name: subjects[each] for name, each in files.items() if each in subjects},
             shared_anchors=anchors,
         )
 

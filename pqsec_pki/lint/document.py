@@ -16,7 +16,6 @@ from pqsec_pki.documents import (
     with_line_feeds,
 )
 from pqsec_pki.errors import InvalidDocumentError, PqsecError
-from pqsec_pki.lint._plain import MAX_PLAIN, PLAIN
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Violation
 from pqsec_pki.problems import Problem
@@ -30,7 +29,7 @@ class ParsedText:
     """The XML of a document, parsed when first needed; files with the same text share it."""
 
     def __init__(self, xml: bytes) -> None:
-        self.xml = xml
+        self.xml = with_line_feeds(xml)
 
     @cached_property
     def tree(self) -> tuple[Tree | None, str | None]:
@@ -80,9 +79,7 @@ class ParsedText:
     @property
     def is_plain(self) -> bool:
         """Whether it is like the permissions that pqsec writes for most participants."""
-        if len(self.xml) > MAX_PLAIN or not PLAIN.fullmatch(with_line_feeds(self.xml)):
-            return False
-        return self.permissions is not None
+        return self.permissions is not None and self.permissions.is_plain
 
 
 @dataclass(frozen=True)
@@ -178,6 +175,13 @@ class PlainPermissions(PermissionsFile):
     """A permissions document like those that pqsec writes for most participants."""
 
 
+def same_lines(one: bytes, other: bytes) -> bool:
+    """Whether two documents differ in nothing but line ends, and white space around them."""
+    if with_line_feeds(one) == with_line_feeds(other):  # so with those that pqsec wrote
+        return True
+    return one.strip().splitlines() == other.strip().splitlines()
+
+
 class Documents:
     """Reads documents. A text that two files have, such as signed and unsigned, is parsed once."""
 
@@ -199,4 +203,5 @@ class Documents:
         return document
 
     def _text(self, xml: bytes) -> ParsedText:
-        return self._texts.setdefault(with_line_feeds(xml), ParsedText(xml))
+        text = ParsedText(xml)
+        return self._texts.setdefault(text.xml, text)

@@ -55,10 +55,8 @@ class File:
         """The mode, as for chmod."""
         return stat.S_IMODE(self.mode)
 
-    @cached_property
-    def is_signed(self) -> bool:
-        """Whether it looks like S/MIME."""
-        return is_signed(self.data)
+    is_signed = False
+    """Whether it looks like S/MIME."""
 
     @cached_property
     def signed(self) -> SignedFile:
@@ -166,10 +164,21 @@ class SmimeFile(File):
     is_signed = True
 
 
+class KeyOrListFile(File):
+    """A file with a private key or a revocation list, of which most files have neither."""
+
+
+class SmimeKeyOrListFile(SmimeFile, KeyOrListFile):
+    """A file that is both."""
+
+
 def file_with(data: bytes, path: Path, mode: int, now: datetime) -> File:
-    """The file with that content, of the subclass for it."""
-    kind = SmimeFile if is_signed(data) else File
-    return kind(path, data, mode, now)
+    """The file with that content, of the subclass for it: rules about others need not run."""
+    made = (SmimeFile if is_signed(data) else File)(path, data, mode, now)
+    if made.is_private_key or made.is_revocation_list:
+        kind = SmimeKeyOrListFile if made.is_signed else KeyOrListFile
+        return kind(path, data, mode, now)
+    return made
 
 
 @dataclass(frozen=True)

@@ -33,7 +33,8 @@ Check = TypeVar("Check", bound=Callable[[Any], Iterable[Any]])
 
 RULES: dict[str, "Rule"] = {}
 """By id, in the order in which modules were imported; `table` sorts them."""
-SIX_STACKS = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2"
+CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
+SIX_STACKS = f"{CYCLONES}; Fast DDS 2.9.1, 3.1.2, 3.6.2"
 """The stacks in which most rules were measured."""
 FAMILIES = {
     "0": "frame",

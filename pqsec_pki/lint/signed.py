@@ -5,6 +5,7 @@ from contextlib import suppress
 from functools import cached_property
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki.algorithms import BROKEN_DIGESTS
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.errors import PqsecError, VerificationError
@@ -15,7 +16,6 @@ from pqsec_pki.smime import ListedSigner, verify
 
 _PSS = bytes.fromhex("06092a864886f70d01010a")
 """DER of its object identifier."""
-_BROKEN = {"1.3.14.3.2.26": "SHA-1", "1.2.840.113549.2.5": "MD5", "1.2.840.113549.2.2": "MD2"}
 _OF_COUNTERSIGNATURES = {Code.COUNTERSIGNATURE_BAD, Code.SIGNATURE_MISSING}
 
 
@@ -87,7 +87,8 @@ def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
 
 def broken_digests(file: File) -> tuple[str, ...]:
     """The broken digests that it is signed with: a second document can have the same."""
-    return tuple(_BROKEN[each.digest] for each in file.signers if each.digest in _BROKEN)
+    used = (each.digest for each in file.signers)
+    return tuple(BROKEN_DIGESTS[each] for each in used if each in BROKEN_DIGESTS)
 
 
 def countersigners(file: File, ca: Certificate | None = None) -> tuple[ListedSigner, ...]:

@@ -18,7 +18,6 @@ from pqsec_pki.credentials import (
     CERTIFICATE,
     GOVERNANCE,
     IDENTITY_CA,
-    KEY,
     PERMISSIONS,
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
@@ -33,9 +32,6 @@ from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.profile import ProfileFile
 from pqsec_pki.lint.roles import CertificateRole, role_of
 from pqsec_pki.lint.signed import DocumentAndSigners
-
-SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
-"""The files of an enclave that every stack needs."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +95,8 @@ class EnclaveFolder:
     now: datetime = field(repr=False)
     proof_demanded: bool = field(repr=False)
     """Whether it must have a proof that the ledger has its documents."""
-    inventory_files: Mapping[Path, "Document | CertificateFile"] = field(repr=False)
+    subjects: Mapping[str, "Document | CertificateFile"] = field(repr=False)
+    """What is in those of its files that have one, by name."""
     shared_anchors: SharedAnchors = field(repr=False)
 
     @property
@@ -114,17 +111,17 @@ class EnclaveFolder:
 
     def certificate(self, name: str = CERTIFICATE) -> Certificate | None:
         """The first certificate in that file; None if it is missing or cannot be read."""
-        found = self._subject(name)
+        found = self.subjects.get(name)
         return found.first if isinstance(found, CertificateFile) else None
 
     def permissions(self, name: str = PERMISSIONS) -> PermissionsFile | None:
         """The permissions document in that file; None if it is not one."""
-        found = self._subject(name)
+        found = self.subjects.get(name)
         return found if isinstance(found, PermissionsFile) else None
 
     def governance(self, name: str = GOVERNANCE) -> GovernanceFile | None:
         """The governance document in that file; None if it is not one."""
-        found = self._subject(name)
+        found = self.subjects.get(name)
         return found if isinstance(found, GovernanceFile) else None
 
     @property
@@ -149,10 +146,6 @@ class EnclaveFolder:
         for role, name in names.items():
             if certificate := self.certificate(name):
                 yield role, certificate
-
-    def _subject(self, name: str) -> "Document | CertificateFile | None":
-        file = self.files.get(name)
-        return self.inventory_files.get(file.path) if file else None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from pqsec_pki.plugin.agent_folder import AgentFolder
     from pqsec_pki.plugin.building import LIBRARY, NAMES, Built, build
     from pqsec_pki.plugin.control import AgentStatus, agent_status, stop_agent
+    from pqsec_pki.plugin.settings import SETTINGS
     from pqsec_pki.plugin.units import home, units_folder, written_units
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -20,6 +21,7 @@ else:
 __all__ = [
     "LIBRARY",
     "NAMES",
+    "SETTINGS",
     "AgentFolder",
     "AgentStatus",
     "Built",

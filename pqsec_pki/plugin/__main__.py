@@ -1,5 +1,7 @@
 """The agent as a process: `python -I -m pqsec_pki.plugin [--detach] SOCKET [IDLE-SECONDS]`.
 
+Without IDLE-SECONDS it stays: see `staying.py`.
+
 The shim runs this module, which starts faster than `pqsec`. With --detach the process ends when
 the socket listens, and a child continues. The log is written to stderr. Only this module of the
 room has a clock.
@@ -20,6 +22,7 @@ from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.server import Agent
 
 IDLE_SECONDS = 300.0
+"""How often an agent without hosts looks whether it should still stay."""
 MAX_LOG = 1 << 20
 """Bytes; a longer log loses its older half."""
 
@@ -73,8 +76,9 @@ def main(arguments: list[str]) -> int:
     detach = arguments[:1] == ["--detach"]
     place, *more = arguments[detach:]
     idle = float(more[0]) if more else IDLE_SECONDS
+    agent = Agent(AgentFolder(Path(place)), idle, _now, _log, stays=not more)
     try:
-        Agent(AgentFolder(Path(place)), idle, _now, _log).run(_detach if detach else lambda: None)
+        agent.run(_detach if detach else lambda: None)
     except PqsecError as error:
         _log(str(error))
         return error.exit_code

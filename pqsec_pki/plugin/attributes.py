@@ -18,12 +18,6 @@ _PLAIN = {
 BUILTIN = frozenset({*_BY_DISCOVERY, _BY_LIVELINESS, _VOLATILE, *_PLAIN})
 """Topics that Cyclone DDS creates for itself; permissions do not apply to them."""
 
-_ENCRYPTS = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
-_BY_ORIGIN = {
-    ProtectionKind.SIGN_WITH_ORIGIN_AUTHENTICATION,
-    ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION,
-}
-
 
 @dataclass(frozen=True, slots=True)
 class ParticipantAttributes:
@@ -67,7 +61,7 @@ def of_participant(rule: DomainRule) -> ParticipantAttributes:
     liveliness = rule.liveliness_protection_kind
     plugin = VALID
     for bit, kind in enumerate((rtps, discovery, liveliness)):
-        plugin |= (kind in _ENCRYPTS) << bit | (kind in _BY_ORIGIN) << bit + 3
+        plugin |= kind.encrypts << bit | kind.authenticates_origin << bit + 3
     return ParticipantAttributes(
         int(rule.allow_unauthenticated_participants),
         int(rule.enable_join_access_control),
@@ -122,4 +116,4 @@ def _protected(kind: ProtectionKind) -> EndpointAttributes:
 
 
 def _submessage_bits(kind: ProtectionKind) -> int:
-    return VALID | (kind in _ENCRYPTS) | (kind in _BY_ORIGIN) << 2
+    return VALID | kind.encrypts | kind.authenticates_origin << 2

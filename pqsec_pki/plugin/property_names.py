@@ -6,7 +6,6 @@ or the participant is not created. Other properties belong to the application.
 """
 
 from collections.abc import Iterable, Mapping
-from difflib import get_close_matches
 
 from pqsec_pki.errors import UsageError, shown
 
@@ -77,6 +76,8 @@ def _refuse_unknown(name: str) -> None:
 
 def _near(name: str) -> list[str]:
     """The known name that is most similar: by its ending, as another stack's, or its spelling."""
+    from difflib import get_close_matches  # noqa: PLC0415 -- few errors need it
+
     last = name.rpartition(".")[2]
     alike = [each for each in _UNDERSTOOD if each.endswith(f".{last}")]
     return alike or get_close_matches(name, sorted(_KNOWN), n=1, cutoff=_CLOSE)

@@ -23,6 +23,7 @@ from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection, Versi
 from pqsec_pki.plugin.guest import Guest, refuse
 from pqsec_pki.plugin.lists import MAX_CAS
 from pqsec_pki.plugin.notes import Clock, Log, Notes
+from pqsec_pki.plugin.staying import load_the_rest, replaced, staying
 from pqsec_pki.plugin.system import keep_limits
 from pqsec_pki.plugin.worker import AT_ONCE, AgentWorker, OpenConnection
 from pqsec_pki.plugin.workers import Served, Workers
@@ -39,15 +40,24 @@ RESERVED_FILES = 32 + MAX_CAS
 _SPARE = 8
 """Further connections for the command line: a full agent must still answer and stop."""
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
+_CALM = 1.0
+"""Seconds in which nobody asks, before the agent loads what its first start did not wait for."""
 _PAUSE = 0.5
 """Seconds until the next try to accept a connection, if the system had no file left."""
 
 
 class Agent:
-    """The agent. It listens until it is stopped, or no process was connected for a while."""
+    """The agent. It listens until it is stopped, or no process was connected for `idle` seconds.
 
-    def __init__(self, place: AgentFolder, idle: float, clock: Clock, log: Log) -> None:
+    With `stays`, it then ends only if it should no longer stay.
+    """
+
+    def __init__(
+        self, place: AgentFolder, idle: float, clock: Clock, log: Log, *, stays: bool = False
+    ) -> None:
         self._place, self._idle, self._clock, self._log = place, idle, clock, log
+        self._stays = stays
+        self._is_loaded = False
         self._notes = Notes("agent", log, clock)
         self._context = AgentContext(clock, log, self._status, self._stop)
         self._guests: set[Guest] = set()
@@ -55,7 +65,7 @@ class Agent:
         """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
         self._deaf_until = 0.0
-        self._stopping = False
+        self._is_retired = self._stopping = False
 
     def run(
         self, ready: Callable[[], None] = lambda: None, given: socket.socket | None = None
@@ -84,6 +94,8 @@ class Agent:
     def _listen_at(self, listener: socket.socket, ready: Callable[[], None]) -> None:
         self._most = min(MAX_CONNECTIONS, max(1, keep_limits(MAX_CONNECTIONS) - RESERVED_FILES))
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, the system would reap workers
+        self._may_stay = staying(self._place.socket) if self._stays else lambda: False
+        self._is_old = replaced() if self._stays else lambda: False
         ready()
         gc.freeze()  # what workers share with the agent stays as it is
         self._listener = listener
@@ -102,14 +114,20 @@ class Agent:
 
     def _serve(self) -> None:
         end = time.monotonic() + max(self._idle, _GRACE_SECONDS)
-        while not self._stopping and (self._count or time.monotonic() < end):
+        while not self._stopping and (
+            self._count or (time.monotonic() < end and not self._is_retired)
+        ):
             busy = bool(self._count)
             wait = _LONGEST_WAIT if busy else min(end - time.monotonic(), _LONGEST_WAIT)
-            for key, events in self._selector.select(min(wait, self._rest())):
+            found = self._selector.select(min(wait, self._rest()))
+            for key, events in found:
                 if key.fileobj.fileno() >= 0:  # type: ignore[union-attr] # may be closed since
                     key.data(events)
             self._answer()
-            if busy:
+            if not (found or self._is_loaded):
+                self._is_loaded = True
+                load_the_rest(self._notes.add)
+            if busy or (time.monotonic() >= end and self._may_stay()):
                 end = time.monotonic() + self._idle
 
     @property
@@ -129,6 +147,8 @@ class Agent:
         waits = [0.0 if self._workers.has_answered else until - now for until in asked]
         if idle is not None:
             waits.append(idle)
+        if not self._is_loaded:
+            waits.append(_CALM)
         if self._deaf_until > now:
             waits.append(self._deaf_until - now)
         elif self._deaf_until:  # the pause is over
@@ -166,7 +186,8 @@ class Agent:
             return
         except VersionError as error:
             self._leave(guest)
-            refuse(guest.link, str(error))
+            if not self._turns_away(guest):
+                refuse(guest.link, str(error))
             return
         except (OSError, PqsecError) as error:
             if not isinstance(error, ConnectionError):  # closing a connection is not an error
@@ -195,6 +216,8 @@ class Agent:
         refuse(link, f"the agent is full: {why}")
 
     def _hand_over(self, guest: Guest, plugin: str) -> None:
+        if self._turns_away(guest):
+            return
         if len(self._workers) >= self._most:
             self._refuse_full(guest.link, guest.process)
             return
@@ -205,6 +228,28 @@ class Agent:
         except OSError as error:
             self._notes.add(f"{guest.who} is not served: {error.strerror}")
             refuse(guest.link, f"no worker can serve it: {error.strerror}")
+
+    def _turns_away(self, guest: Guest) -> bool:
+        """Whether a new agent serves it: another program was installed, and this one retires.
+
+        Its library is told nothing, so it asks again, and starts what is installed now.
+        """
+        if not self._is_retired and self._is_old():
+            self._retire()
+        if self._is_retired:
+            guest.link.close()
+        return self._is_retired
+
+    def _retire(self) -> None:
+        """Listen no more; hosts stay until they end.
+
+        The file of the socket stays, as that of an agent that was killed: the next one replaces it.
+        """
+        self._notes.add("another version was installed: a new agent serves the next hosts")
+        if not self._deaf_until:
+            self._selector.unregister(self._listener)
+        self._is_retired, self._deaf_until = True, 0.0
+        self._listener.close()
 
     def _obey(self, guest: Guest) -> None:
         connection = Connection(self._context, guest.who, CONTROL)

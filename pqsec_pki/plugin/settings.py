@@ -15,7 +15,7 @@ from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.handshake import PeerRequirements, WireVersion
 from pqsec_pki.plugin.credentials import Source, octets_of
 
-FILE = "pqsec.toml"
+SETTINGS = "pqsec.toml"
 STOCK, OURS = "stock", "pqsec"
 MAX_SETTINGS = 4096
 """Octets."""
@@ -45,7 +45,7 @@ class AgentSettings:
         """
         stock, agreements, proofs = OURS, None, False
         versions: tuple[WireVersion, ...] = _FIRST
-        if path := source.beside(FILE):
+        if path := source.beside(SETTINGS):
             with located(path):
                 data = octets_of(path, limit=MAX_SETTINGS)
                 stock, agreements, versions, proofs = _parsed(data)
@@ -77,7 +77,7 @@ def _refuse_without_plain_key(certificate: Certificate) -> None:
     if row.family is not Family.CLASSICAL:
         raise UsageError(
             f"a peer with the stack's own plugin accepts no {row.name} key",
-            hint=f"leave peers out of {FILE}, or issue identities of profile transition",
+            hint=f"leave peers out of {SETTINGS}, or issue identities of profile transition",
         )
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 
-from pqsec_pki.access import TopicRight, open_rights, rights_of, without_counterpart
+from pqsec_pki.access import CriteriaRight, open_rights, rights_of, without_counterpart
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
@@ -25,12 +25,13 @@ def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> 
     except PqsecError:
         return
     own = [each for each in rights if each.owner in chosen]
-    for topic in dict.fromkeys(each.topic for each in own if ros.doubled_slash(each.topic)):
+    topics = (topic for each in own for topic in each.topics)
+    for topic in dict.fromkeys(filter(ros.doubled_slash, topics)):
         yield f"{topic} has //, and no ROS 2 name has"
     yield from (str(each) for each in without_counterpart(own, rights) if each.meant)
 
 
-def _rights(keystore: Keystore, now: datetime) -> Sequence[TopicRight]:
+def _rights(keystore: Keystore, now: datetime) -> Sequence[CriteriaRight]:
     names = keystore.names()
     if len(names) > MAX_PARTICIPANTS:
         return ()

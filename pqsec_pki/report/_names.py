@@ -131,6 +131,8 @@ def _windows(parts: list[str], lengths: Iterable[int]) -> Iterator[str]:
 
 
 def _replaced(parts: list[str], unit: list[str]) -> str:
+    if len(unit) == 1:
+        return "/".join([PLACEHOLDER if part == unit[0] else part for part in parts])
     made, place = [], 0
     while place < len(parts):
         if parts[place : place + len(unit)] == unit:

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from pqsec_pki.access import Protection
 from pqsec_pki.algorithms import STOCK_AGREEMENT, KeyAgreement, Profile
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.documents import Governance, ProtectionKind
+from pqsec_pki.documents import Governance
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore, State, Status
 from pqsec_pki.lint import LintReport
@@ -14,7 +14,6 @@ from pqsec_pki.policy import Fleet
 from pqsec_pki.report.dates import KINDS
 from pqsec_pki.report.values import Exposure, Strength
 
-_ENCRYPTED = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
 _NO_KEY = "a key that pqsec does not know"
 
 
@@ -81,7 +80,7 @@ def _exposed_traffic(governance: Governance, profile: Profile) -> Iterator[Expos
         for topics in rule.topic_rules:
             protection = Protection.of(rule, topics)
             kinds = (protection.data, protection.metadata, protection.rtps)
-            encrypted = any(kind in _ENCRYPTED for kind in kinds)
+            encrypted = any(kind is not None and kind.encrypts for kind in kinds)
             strength, consequence = _of_traffic(profile) if encrypted else _IN_THE_CLEAR
             yield Exposure(
                 use="traffic recorded today",

@@ -66,25 +66,32 @@ def _key(placed: Placed, grouping: Grouping) -> _Key:
     """Rows with the same key are shown as one."""
     row = placed.row
     label, unit = grouping.split(row.topic)
-    sides = (tuple(_parts(each, unit, grouping)) for each in (row.publishers, row.subscribers))
-    return label, bool(unit), placed.domains, row.is_pattern, *sides
+    publishers = tuple(_parts(row.publishers, unit, grouping))
+    subscribers = tuple(_parts(row.subscribers, unit, grouping))
+    return label, bool(unit), placed.domains, row.is_pattern, publishers, subscribers
 
 
 def _parts(names: tuple[str, ...], unit: str, grouping: Grouping) -> Iterator[_Part]:
     """The names as groups, in the order of the groups."""
+    if len(names) == 1:  # as of most topics
+        yield _part(grouping.group_of[names[0]], names, unit, grouping)
+        return
     by_group: dict[int, list[str]] = defaultdict(list)
     for name in names:
         by_group[grouping.group_of[name]].append(name)
     for group, there in by_group.items():
-        own, count = grouping.own.get((group, unit), ()), len(grouping.groups[group].members)
-        if len(there) == count:
-            yield _Part(group, HolderExtent.ALL, ())
-        elif own and tuple(there) == own:
-            yield _Part(group, HolderExtent.OWN, ())
-        elif own and len(there) == count - len(own) and not set(own) & set(there):
-            yield _Part(group, HolderExtent.OTHERS, ())
-        else:
-            yield _Part(group, HolderExtent.SOME, tuple(there))
+        yield _part(group, tuple(there), unit, grouping)
+
+
+def _part(group: int, names: tuple[str, ...], unit: str, grouping: Grouping) -> _Part:
+    own, count = grouping.own.get((group, unit), ()), len(grouping.groups[group].members)
+    if len(names) == count:
+        return _Part(group, HolderExtent.ALL, ())
+    if own and names == own:
+        return _Part(group, HolderExtent.OWN, ())
+    if own and len(names) == count - len(own) and not set(own) & set(names):
+        return _Part(group, HolderExtent.OTHERS, ())
+    return _Part(group, HolderExtent.SOME, names)
 
 
 def _row(alike: list[Placed], grouping: Grouping, explain: "_Explaining") -> RightsRow:

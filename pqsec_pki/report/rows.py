@@ -4,14 +4,12 @@ import csv
 import io
 from collections.abc import Iterator
 
-from pqsec_pki.errors import shown
+from pqsec_pki._csv import cell
 from pqsec_pki.migration import MigrationPlan
 from pqsec_pki.report.comparing import Changes
 from pqsec_pki.report.values import Report
 
 HEADER = ("section", "subject", "item", "value", "domains", "until", "source")
-_FORMULA = ("=", "+", "-", "@", "\t", "\r", "\n")
-"""Spreadsheets take a cell that begins so for a formula, and would run it."""
 
 
 def csv_of(report: Report, changes: Changes | None = None) -> str:
@@ -24,13 +22,8 @@ def csv_of(report: Report, changes: Changes | None = None) -> str:
     writer = csv.writer(text)
     writer.writerow(HEADER)
     for row in _rows(report, changes):
-        writer.writerow([_plain(cell) for cell in row])
+        writer.writerow(map(cell, row))
     return text.getvalue()
-
-
-def _plain(cell: str) -> str:
-    text = f"'{cell}" if cell.startswith(_FORMULA) else cell
-    return text if text.isprintable() else shown(text, len(text))
 
 
 _Row = tuple[str, str, str, str, str, str, str]

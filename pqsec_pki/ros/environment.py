@@ -53,7 +53,7 @@ def _read(script: Path) -> str:
 
 def _exported(enclave: str, options: str, present: Mapping[str, str]) -> str:
     command = ["export", Stack.ROS2, enclave, *shlex.split(options)]
-    module = [sys.executable, "-m", "pqsec_pki"]
+    module = [sys.executable, "-P", "-m", "pqsec_pki"]  # no modules of the present folder
     return _run([*module, *command], present, shlex.join(["pqsec", *command]))
 
 

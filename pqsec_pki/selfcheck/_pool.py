@@ -7,6 +7,7 @@ locks. No process can hang because another was killed, and all end with the pare
 in work when the user interrupts, up to a minute with many processes.
 """
 
+import os
 import signal
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
@@ -23,6 +24,7 @@ from pqsec_pki.selfcheck._worker import AllPairsJob, Worker
 
 AHEAD = 2
 """Blocks queued for each process."""
+_SAFE_PATH = "PYTHONSAFEPATH"
 
 Block = TypeVar("Block")
 Done = TypeVar("Done")
@@ -87,7 +89,7 @@ def worker_pool(job: AllPairsJob, size: int) -> Iterator[WorkerPool]:
         for ours, theirs in pipes
     )
     try:
-        with _interrupts_blocked():
+        with _safe_path(), _interrupts_blocked():
             for member in members:
                 member.process.start()
         yield WorkerPool(worker, members)
@@ -114,6 +116,19 @@ def _end(process: BaseProcess) -> None:
     if process.pid is not None:
         process.terminate()
         process.join()
+
+
+@contextmanager
+def _safe_path() -> Iterator[None]:
+    """Python processes that start within take no modules from the folder where they start."""
+    before = os.environ.get(_SAFE_PATH)
+    os.environ[_SAFE_PATH] = "1"
+    try:
+        yield
+    finally:
+        del os.environ[_SAFE_PATH]
+        if before is not None:
+            os.environ[_SAFE_PATH] = before
 
 
 @contextmanager

@@ -22,7 +22,7 @@ from pqsec_pki.handshake import (
     check_carried,
     initiates,
 )
-from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.keystore import Keystore, layout, regular_name
 from pqsec_pki.problems import Code
 from pqsec_pki.selfcheck.credentials import check_documents, check_identity, renewal
 from pqsec_pki.selfcheck.report import HandshakeReport, Steps, StoppedError
@@ -143,7 +143,7 @@ def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> Non
 def _to_add_domain(keystore: Keystore) -> str:
     """A hint how to add a domain to the keystore's governance."""
     folder = shlex.quote(str(keystore.root))
-    document = shlex.quote(str(keystore.root / "enclaves/governance.xml"))
+    document = shlex.quote(str(keystore.root / layout.ENCLAVES / layout.GOVERNANCE_XML))
     return (
         f"add the domain to {document} and run `pqsec -k {folder} sign-governance {document}"
         " --force`; the permissions must name the domain too"

@@ -6,7 +6,7 @@ a first one). The front answers HTTP: `listening.py`, `channel.py`, `front.py`, 
 (`signer.py`) has the CA keys: it decides who is admitted (`admission.py`, `requester.py`,
 `token_lines.py`; `waiting.py` and `deciding.py` for requests that wait; `factories.py` for devices
 with a certificate of their factory) and answers from the keystore (`call_handling.py`);
-`list_keeping.py` keeps a revocation list in force.
+`list_keeping.py` keeps a revocation list in force, `receipt_taking.py` takes receipts.
 Between them are calls (`call.py`).
 """
 
@@ -17,7 +17,15 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.server.beginning import begin_server
     from pqsec_pki.server.configuration import ServerSettings, read_settings
-    from pqsec_pki.server.deciding import APPROVAL, REFUSAL, decide, demanded, replacing
+    from pqsec_pki.server.deciding import (
+        APPROVAL,
+        REFUSAL,
+        decide,
+        demanded,
+        end_of,
+        open_approvals,
+        replacing,
+    )
     from pqsec_pki.server.listening import run_front
     from pqsec_pki.server.running import run_both, run_signer
     from pqsec_pki.server.token_lines import (
@@ -39,6 +47,8 @@ __all__ = [
     "begin_server",
     "decide",
     "demanded",
+    "end_of",
+    "open_approvals",
     "read_settings",
     "record_token",
     "replacing",

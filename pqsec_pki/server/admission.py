@@ -5,20 +5,19 @@ domain file: a request only says which participant asks, and for which keys.
 """
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import field, replace
 from datetime import datetime, timedelta
-from functools import cached_property
-
-from cryptography.x509.oid import NameOID
+from functools import cache, cached_property
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate, CertificateRequest
-from pqsec_pki.domain import Desired, Member
+from pqsec_pki.domain import Desired, Member, has_rights
 from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.est import REQUEST_ENDED
 from pqsec_pki.keystore import (
     ORDER,
     Entry,
@@ -32,16 +31,18 @@ from pqsec_pki.keystore import (
 )
 from pqsec_pki.lifecycle import PublicKeys
 from pqsec_pki.server.call import CallKind, SignerCall
-from pqsec_pki.server.deciding import APPROVAL, REFUSAL, decision_on, demanded, is_late
+from pqsec_pki.server.configuration import EnrolmentPolicy
+from pqsec_pki.server.deciding import REFUSAL, decision_on, demanded, end_of, is_late
 from pqsec_pki.server.factories import Factory, factory_of
-from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
+from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester, refuse_many
 from pqsec_pki.server.token_lines import (
     ADMISSION,
     admission_entry,
     by_token,
     presented,
+    request_of,
 )
-from pqsec_pki.server.waiting import PendingRequests
+from pqsec_pki.server.waiting import WaitingRequests
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
@@ -51,6 +52,10 @@ _ORDERED = "an order"
 _DEVICE = "device"
 """The begin of the name of an admission by a factory's certificate."""
 _BY_ORDER = "is enrolled by a registration authority's order, and none has this request"
+_OTHER_RIGHTS = (
+    "was enrolled by an order with other rights than the domain file has:"
+    " `pqsec apply` gives it those"
+)
 _NEW_KEY = "make a new one for it"
 _NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
 
@@ -63,20 +68,13 @@ class Admission:
     ledger: Ledger
     desired: Desired
     now: datetime
-    any_time: bool
-    """Whether certificates are renewed that are not due."""
-    waiting: PendingRequests
+    waiting: WaitingRequests
     """Where requests wait until somebody decides."""
-    anybody: bool = False
-    """Whether one without any credential waits; if not, it is refused."""
-    retry: int = 60
-    """Seconds until the client of such a request shall ask again."""
+    policy: EnrolmentPolicy
     taken: Counter[str] = field(default_factory=Counter)
     """What was admitted since the ledger was read: names, and the tokens that admitted them."""
     factories: Mapping[str, Factory] = field(default_factory=dict)
     """Whose devices may enrol, by the names that the domain file has."""
-    renew_expired: timedelta = timedelta()
-    """For how long after its end a certificate is still renewed."""
 
     def of(self, call: SignerCall) -> Admitted:
         """The request that may be answered; NotAdmittedError if it may not."""
@@ -104,9 +102,14 @@ class Admission:
         hashes = key_hashes(keys.key, keys.alternative)
         self._refuse_used(holder, name)
         self._refuse_state(held, holder, hashes)
+        self._refuse_wider(held, holder, member)
         planned = self._by_plan and request.fingerprint in self._requests_of(name)[-1:]
         if holder.by == _APPROVED or (self._by_plan and not planned):
             self._refuse_undecided(request, name, call, planned=planned)
+        if holder.certificate or holder.device:  # nobody counts how often these admit
+            refuse_many(
+                f"certificates of {name}", self.ledger.of_name("participant", name), self.now
+            )
         self._take(name, holder)
         line = admission_entry(holder.by, name, request, self.now, certificate=holder.device)
         if planned:
@@ -122,17 +125,17 @@ class Admission:
         Where only a plan issues, it also waits until it was `planned`.
         """
         decision = decision_on(self.ledger, request, name)
-        if decision == REFUSAL:
-            raise NotAdmittedError(403, "the request was refused")
-        late = not self._by_plan and is_late(self.ledger, request, name)
-        if decision == APPROVAL and late:
-            words = f"{name} got a certificate since the request was approved: send a new request"
-            raise NotAdmittedError(403, words)
-        if decision != APPROVAL:
+        if decision is None:
             self.waiting.add(request, name, call.address, self.now)
-        if decision != APPROVAL or (self._by_plan and not planned):
+        elif decision.kind == REFUSAL:
+            raise _ended(403, "the request was refused")
+        elif not self._by_plan and is_late(self.ledger, decision):
+            raise _ended(403, f"{name} got a certificate since the request was approved")
+        elif not planned and self.now > end_of(decision):
+            raise _ended(403, f"the approval of the request ended {said(end_of(decision))}")
+        if not decision or (self._by_plan and not planned):
             words = f"the request waits for approval: SHA-256 {request.fingerprint}"
-            raise NotAdmittedError(202, words, retry_after=self.retry)
+            raise NotAdmittedError(202, words, retry_after=self.policy.retry_seconds)
 
     def _take(self, name: str, holder: Requester) -> None:
         """NotAdmittedError if the name, or the last use of the token, was just given to another."""
@@ -150,7 +153,7 @@ class Admission:
         NotAdmittedError if it showed none, or one that is not valid.
         """
         if not call.certificate:
-            raise NotAdmittedError(401, "show the participant's certificate as client certificate")
+            raise nobody()
         return self._of_certificate(Certificate.from_der(call.certificate))
 
     def _holder(self, call: SignerCall) -> Requester:
@@ -160,10 +163,10 @@ class Admission:
             shown = Certificate.from_der(call.certificate)
             if self.factories and call.kind is not CallKind.REENROL and not self._is_ours(shown):
                 return Requester("", _DEVICE, device=shown)
-            return self._of_certificate(shown, self.renew_expired)
+            return self._of_certificate(shown, self.policy.renew_expired)
         if call.kind is CallKind.REENROL:
             raise NotAdmittedError(401, "show the current certificate as client certificate")
-        return Requester("", _APPROVED if self.anybody else "")
+        return Requester("", _APPROVED if self.policy.approval else "")
 
     def _of_token(self, call: SignerCall) -> Requester:
         found = presented(self.ledger, call.token, call.secret)
@@ -175,7 +178,7 @@ class Admission:
 
     def _is_ours(self, certificate: Certificate) -> bool:
         """Whether it is of a participant, by the ledger: it knows each that was issued."""
-        lines = self.ledger.of_name("participant", _common_name(certificate))
+        lines = self._lines("participant", certificate.common_name or "")
         return any(each.sha256 == certificate.fingerprint for each in lines)
 
     def _identified(
@@ -193,11 +196,11 @@ class Admission:
         return Requester("", by, device=shown, again=factory.again)
 
     def _refuse_used(self, holder: Requester, name: str) -> None:
-        """NotAdmittedError if its token, or its line of the inventory, admits nobody any more."""
+        """NotAdmittedError if its token, or its line of the inventory, was used."""
         holder.refuse_used(self.now)
         if holder.device is None or holder.again:
             return
-        lines = self.ledger.of_name(ADMISSION, holder.by)
+        lines = self._lines(ADMISSION, holder.by)
         if any(each.details.get("participant") == name for each in lines):
             raise NotAdmittedError(403, f"the device has enrolled as {name} before: {_NEW_TOKEN}")
 
@@ -208,13 +211,16 @@ class Admission:
 
         NotAdmittedError for a certificate that is not valid, or was revoked.
         """
-        name = _common_name(certificate)
+        name = certificate.common_name or ""
         if not self._is_ours(certificate):
             raise NotAdmittedError(403, "the client certificate was not issued here")
-        revoked = self.ledger.of_name("revocation", name)
+        revoked = self._lines("revocation", name)
         if any(each.sha256 == certificate.fingerprint for each in revoked):
             raise NotAdmittedError(403, "the client certificate was revoked")
-        if self.now < certificate.not_before or self.now - certificate.not_after > expired:
+        if self.now < certificate.not_before:
+            began = said(certificate.not_before)
+            raise NotAdmittedError(403, f"its certificate is not valid before {began}")
+        if self.now - certificate.not_after > expired:
             raise NotAdmittedError(403, f"its certificate expired: {_NEW_TOKEN}")
         return Requester(
             name, f"certificate {certificate.serial_number:x}", certificate=certificate
@@ -223,7 +229,7 @@ class Admission:
     def _member(self, name: str, label: str) -> Member:
         """The participant; NotAdmittedError if nobody may ask for it over the network."""
         if label and label not in self.desired.groups:
-            raise NotAdmittedError(404, "there is no such label: it is a group of the domain file")
+            raise NotAdmittedError(404, "unknown label: a label is a group of the domain file")
         member = self.desired.members.get(name)
         if member is None:
             raise NotAdmittedError(403, f"{name} is not in the domain file")
@@ -238,13 +244,18 @@ class Admission:
         return member
 
     @cached_property
+    def _lines(self) -> Callable[[str, str], list[Entry]]:
+        """The lines of a kind and name, oldest first; read once for all questions."""
+        return cache(self.ledger.of_name)
+
+    @cached_property
     def _by_plan(self) -> bool:
         """Whether only a plan that several people approved may issue."""
         return bool(demanded(policy_of(self.ledger)))
 
     def _requests_of(self, name: str) -> list[str]:
         """The SHA-256 of the request that each certificate of `name` answers, oldest first."""
-        lines = self.ledger.of_name("participant", name)
+        lines = self._lines("participant", name)
         return [each.details.get("request", "") for each in lines]
 
     def _was_ordered(self, name: str, request: CertificateRequest) -> bool:
@@ -253,11 +264,16 @@ class Admission:
         Then the order admits whoever sends the request, which is for its key: nothing is issued,
         and every handshake shows what is answered.
         """
-        line = self._orders.get("".join(self._requests_of(name)[-1:]))
+        line = self._ordered(name) if any(self._requests_of(name)[-1:]) else None
         wanted = (name, request.fingerprint)
         return line is not None and wanted in {
             (each.name, each.request) for each in order_in(line).items
         }
+
+    def _ordered(self, name: str) -> Entry | None:
+        """The line of the order that enrolled `name`, unless a later request was answered."""
+        asked = [each for each in self._requests_of(name) if each]
+        return self._orders.get(asked[-1]) if asked else None
 
     @cached_property
     def _orders(self) -> dict[str, Entry]:
@@ -273,18 +289,11 @@ class Admission:
         if request.fingerprint not in answered:
             return False
         if answered[-1] != request.fingerprint:
-            raise NotAdmittedError(409, "this request was answered, and another since")
-        return holder.certificate is not None or holder.by in self._admitted_by(name, request)
-
-    def _admitted_by(self, name: str, request: CertificateRequest) -> set[str]:
-        """What admitted the request; for a renewal, also the certificate that it led to."""
-        found = {
-            each.name
-            for each in self.ledger.of_kind(ADMISSION)
-            if each.sha256 == request.fingerprint
-        }
-        newest = self.ledger.of_name("participant", name)[-1]
-        return found | {f"certificate {newest.serial}"}
+            raise _ended(409, "this request was answered, and another since")
+        admissions = self._lines(ADMISSION, holder.by)
+        return holder.certificate is not None or any(
+            request_of(each) == request.fingerprint for each in admissions
+        )
 
     def _held(self, name: str) -> ParticipantState | None:
         due = self.desired.renew_before
@@ -311,12 +320,37 @@ class Admission:
             return
         if holder.certificate is None or held.sha256 != holder.certificate.fingerprint:
             raise NotAdmittedError(403, f"this is not the current certificate of {held.name}")
-        if not (self.any_time or held.state.calls_for_renewal):
+        if not (self.policy.renew_any_time or held.state.calls_for_renewal):
             raise NotAdmittedError(
                 403,
                 f"its certificate is not due: it ends {said(held.not_after)}; the server renews"
                 " earlier with `renew: any-time` in serve.yaml",
             )
+
+    def _refuse_wider(
+        self, held: ParticipantState | None, holder: Requester, member: Member
+    ) -> None:
+        """NotAdmittedError if a registration authority would get other rights by this than ordered.
+
+        Who makes a token for new keys, approves the request or lists the device decides himself.
+        """
+        decided = (
+            holder.by == _APPROVED or holder.device or (holder.token and holder.token.replaces)
+        )
+        if held is None or decided or not self._ordered(held.name):
+            return
+        if not has_rights(self.keystore, member, held, now=self.now):
+            raise NotAdmittedError(403, f"{held.name} {_OTHER_RIGHTS}")
+
+
+def nobody() -> NotAdmittedError:
+    """The refusal of a client that shows no certificate."""
+    return NotAdmittedError(401, "show the participant's certificate as client certificate")
+
+
+def _ended(status: int, words: str) -> NotAdmittedError:
+    """The refusal of a request that is never answered, while another one may be."""
+    return NotAdmittedError(status, words, problem=REQUEST_ENDED)
 
 
 def _refuse_revoked(held: ParticipantState | None) -> None:
@@ -338,11 +372,3 @@ def _keys(request: CertificateRequest, name: str, profile: Profile) -> PublicKey
         return validate_csrs([request], profile, names=[name])[name]
     except VerificationError as error:
         raise NotAdmittedError(400, str(error)) from None
-
-
-def _common_name(certificate: Certificate) -> str:
-    """The participant's name that the certificate says; empty if it says none."""
-    match list(certificate.subject):
-        case [part] if part.oid == NameOID.COMMON_NAME and isinstance(part.value, str):
-            return part.value
-    return ""

@@ -1,4 +1,8 @@
-"""Asks the signer from the process that faces the network, without waiting (Twisted)."""
+"""Asks the signer from the process that faces the network, without waiting (Twisted).
+
+What the signer cannot take yet waits here: each address has its turn, and if there is too much, the
+one with most gives up what it asked first. So strangers cannot keep robots from the signer.
+"""
 
 from collections import OrderedDict
 from collections.abc import Callable
@@ -9,12 +13,16 @@ from twisted.internet.interfaces import IDelayedCall
 from twisted.internet.protocol import ClientFactory, Protocol
 
 from pqsec_pki.errors import MalformedError
+from pqsec_pki.server.addresses import key_of
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall, length_of, unpacked
+from pqsec_pki.server.limiting import Shares
 
 SECONDS = 60.0
 """Until the answer: the signer may wait half a minute for another command at the keystore."""
 MOST_OPEN = 256
-"""Calls that wait for the signer."""
+"""Calls that wait for the signer, here or there."""
+MOST_SENT = 128
+"""Of these at the signer: those that it answers together now, and the next."""
 MOST_OCTETS = 16 << 20
 """Of these calls."""
 KEPT_SECONDS = 5.0
@@ -38,7 +46,8 @@ class SignerCalls:
 
     def __init__(self, reactor: Any, socket: Path) -> None:
         self._reactor, self._socket = reactor, str(socket)
-        self.open = self._octets = 0
+        self.open = self._octets = self._sent = 0
+        self._waiting = Shares()
         self.trouble = ""
         """What the signer said last about its configuration."""
         self._kept: OrderedDict[CallKind, tuple[float, SignerAnswer]] = OrderedDict()
@@ -50,28 +59,43 @@ class SignerCalls:
             if self._reactor.seconds() - at < KEPT_SECONDS:
                 then(answer)
                 return
-        octets = len(call.body)
-        if self.open >= MOST_OPEN or self._octets + octets > MOST_OCTETS:
-            then(_BUSY)
-            return
         self.open += 1
-        self._octets += octets
+        self._octets += len(call.body)
 
         def finish(answer: SignerAnswer) -> None:
-            self.open -= 1
-            self._octets -= octets
-            self.trouble = answer.trouble
+            self._end(asked)
+            if answer is not _BUSY:
+                self.trouble = answer.trouble
             if call.kind in _SHARED and answer.status == 200:  # noqa: PLR2004
                 self._kept[call.kind] = (self._reactor.seconds(), answer)
             then(answer)
 
-        self._reactor.connectUNIX(self._socket, _Factory(self._reactor, call, finish), timeout=5)
+        asked = _Factory(self._reactor, call, finish)
+        self._waiting.add(key_of(call.address), asked)
+        while self.open > MOST_OPEN or self._octets > MOST_OCTETS:
+            self._waiting.to_give_up().finish(_BUSY)
+        self._send()
+
+    def _send(self) -> None:
+        while self._sent < MOST_SENT and (asked := self._waiting.in_turn()):
+            self._sent += 1
+            asked.sent = True
+            self._reactor.connectUNIX(self._socket, asked, timeout=5)
+
+    def _end(self, asked: "_Factory") -> None:
+        """It is answered: another one may be sent."""
+        self.open -= 1
+        self._octets -= len(asked.call.body)
+        self._sent -= asked.sent
+        self._waiting.remove(key_of(asked.call.address), asked)
+        self._send()
 
 
 class _Factory(ClientFactory):
     """One call."""
 
     noisy = False
+    sent = False
 
     def __init__(self, reactor: Any, call: SignerCall, then: Then) -> None:
         self.call, self._then = call, then

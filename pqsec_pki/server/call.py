@@ -97,6 +97,8 @@ class SignerAnswer:
     """Seconds; 0 for none."""
     detail: str = ""
     """Of an answer that is an error: what is wrong, for the client."""
+    problem: str = ""
+    """The type of that error, a URI reference; empty for none."""
     note: str = ""
     """For the log: who got what, and by what."""
     trouble: str = ""
@@ -110,6 +112,7 @@ class SignerAnswer:
             "etag": self.etag,
             "retry_after": self.retry_after,
             "detail": self.detail,
+            "problem": self.problem,
             "note": self.note,
             "trouble": self.trouble,
         }

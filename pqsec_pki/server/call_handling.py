@@ -11,12 +11,13 @@ from datetime import datetime, timedelta
 from functools import cached_property
 from http import HTTPStatus
 from pathlib import Path
+from typing import TypeVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
 from pqsec_pki.domain import Desired
-from pqsec_pki.enrolment import Bundle, read_receipts, record_receipts
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.enrolment import Bundle
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, shown
 from pqsec_pki.est import (
     BUNDLE_TYPE,
     CSRATTRS,
@@ -39,15 +40,22 @@ from pqsec_pki.keystore import (
     load_certificate,
 )
 from pqsec_pki.lifecycle import fetch_files, issue
-from pqsec_pki.server.admission import Admission
+from pqsec_pki.server.admission import Admission, nobody
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
+from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.list_keeping import keep_list
+from pqsec_pki.server.receipt_taking import take_receipts
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
-from pqsec_pki.server.waiting import PendingRequests
+from pqsec_pki.server.token_lines import request_of
+from pqsec_pki.server.waiting import WaitingRequests
 from pqsec_pki.transparency import MerkleTree
 
-_NOT_DONE = "the server could not do it: its log says why"
+NOT_DONE = "the server could not do it: its log says why"
+
+_LONGEST = 1000
+"""Characters of what is told to a client, and is in the log."""
+Decision = TypeVar("Decision")
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -58,18 +66,13 @@ class CallHandler:
     authorities: Authorities
     desired: Desired
     clock: Callable[[], datetime]
-    waiting: PendingRequests
-    anybody: bool = False
-    """Whether requests without a credential wait there."""
-    any_time: bool = False
-    renew_expired: timedelta = timedelta()
-    """For how long after its end a certificate is still renewed."""
-    retry: int = 60
+    waiting: WaitingRequests
+    policy: EnrolmentPolicy = EnrolmentPolicy()
     factories: Mapping[str, Factory] = field(default_factory=dict)
     tree: MerkleTree = field(default_factory=MerkleTree, repr=False)
     """Over the ledger's lines, kept for the next proofs."""
-    list_validity: timedelta | None = None
-    """Of revocation lists that are issued by themselves; None for none."""
+    revocation_list: timedelta | None = None
+    """The validity of revocation lists that are issued by themselves; None for none."""
     seen: SeenLedger = field(default_factory=SeenLedger)
     """Nothing is issued with a ledger that lacks lines: they may be revocations, or used tokens."""
 
@@ -78,50 +81,78 @@ class CallHandler:
 
         VerificationError for a ledger that lacks lines; other errors as of `renew_list`.
         """
-        if self.list_validity is None:
+        if self.revocation_list is None:
             return False
-        with self.keystore.hold():
+        with self.keystore.hold(keep_connection=True):
             with self.keystore.open_ledger() as ledger:
                 self.seen.refuse_less(self.keystore.root, ledger)
             self._fetch_shared()
-            return keep_list(self.keystore, self.authorities, self.list_validity, now=self.clock())
+            return keep_list(
+                self.keystore, self.authorities, self.revocation_list, now=self.clock()
+            )
 
     def answers(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         """The answer to each call; those that issue are one change of the keystore."""
         issued = iter(self._issued([each for each in calls if each.kind.issues]))
-        return [next(issued) if each.kind.issues else self._answer(each) for each in calls]
+        holders = iter(self._holders([each for each in calls if each.kind in self._of_holders]))
+        return [
+            next(issued)
+            if each.kind.issues
+            else self._for_holder(each, next(holders))
+            if each.kind in self._of_holders
+            else _guarded(self._by_kind[each.kind])
+            for each in calls
+        ]
 
-    def _answer(self, call: SignerCall) -> SignerAnswer:
-        return _guarded(lambda: self._by_kind[call.kind](call))
+    def _for_holder(self, call: SignerCall, holder: Requester | SignerAnswer) -> SignerAnswer:
+        if isinstance(holder, SignerAnswer):
+            return holder
+        return _guarded(lambda: self._of_holders[call.kind](holder.name, call.body))
 
     @cached_property
-    def _by_kind(self) -> dict[CallKind, Callable[[SignerCall], SignerAnswer]]:
+    def _by_kind(self) -> dict[CallKind, Callable[[], SignerAnswer]]:
         return {
             CallKind.READY: self._ready,
             CallKind.CA_CERTIFICATES: self._ca_certificates,
             CallKind.REQUEST_ATTRIBUTES: self._request_attributes,
-            CallKind.BUNDLE: self._own_bundle,
             CallKind.REVOCATION_LIST: self._revocation_list,
             CallKind.HEAD: self._head,
-            CallKind.RECEIPT: self._receipt,
         }
+
+    @cached_property
+    def _of_holders(self) -> dict[CallKind, Callable[[str, bytes], SignerAnswer]]:
+        """What only the holder of a certificate may ask, with its participant and the body."""
+        return {CallKind.BUNDLE: self._own_bundle, CallKind.RECEIPT: self._receipt}
+
+    def _holders(self, calls: Sequence[SignerCall]) -> list[Requester | SignerAnswer]:
+        """Who shows a valid certificate, or the refusal; the ledger is read once for all."""
+        if not any(each.certificate for each in calls):
+            return [_refused(nobody())] * len(calls)
+        try:
+            with self.keystore.open_ledger() as ledger:
+                deciding = self._admission(ledger)
+                return [_decided(deciding.holder_of, each) for each in calls]
+        except PqsecError as error:
+            return [_failed(error)] * len(calls)
 
     # What issues
 
     def _issued(self, calls: Sequence[SignerCall]) -> list[SignerAnswer]:
         if not calls:
             return []
-        with self.keystore.hold():
+        with self.keystore.hold(keep_connection=True):
             with self.keystore.open_ledger() as ledger:
                 try:
                     self.seen.refuse_less(self.keystore.root, ledger)
                 except PqsecError as error:
                     return [_unavailable(error)] * len(calls)
                 deciding = self._admission(ledger)
-                decided = [_decided(deciding, each) for each in calls]
+                decided = [_decided(deciding.of, each) for each in calls]
                 admitted = [each for each in decided if isinstance(each, Admitted)]
                 again = [each.name for each in admitted if not each.spec]
                 elsewhere = self._fetched(ledger, again)
+            if not admitted:
+                return [each for each in decided if isinstance(each, SignerAnswer)]
             self._record(admitted)
             failures = self._issue([each for each in admitted if each.spec])
             with BundleNumbers.of(self.keystore, self.tree) as numbers:
@@ -140,12 +171,9 @@ class CallHandler:
             ledger,
             self.desired,
             self.clock(),
-            self.any_time,
             self.waiting,
-            self.anybody,
-            self.retry,
+            self.policy,
             factories=self.factories,
-            renew_expired=self.renew_expired,
         )
 
     def _record(self, admitted: Sequence[Admitted]) -> None:
@@ -187,7 +215,7 @@ class CallHandler:
         if admitted.spec and (error := failures.get(admitted.name)):
             return _failed(error)
         if admitted.line:
-            self.waiting.remove(admitted.line.sha256)
+            self.waiting.remove(request_of(admitted.line))
         note = f"{admitted.name} by {admitted.by}{'' if admitted.spec else ', again'}"
         if call.kind is CallKind.REQUEST:
             return _guarded(lambda: self._bundle(admitted.name, numbers, note))
@@ -209,28 +237,27 @@ class CallHandler:
 
     # What only reads, or records
 
-    def _ready(self, _call: SignerCall) -> SignerAnswer:
+    def _ready(self) -> SignerAnswer:
         self.authorities.refuse_outdated(self.keystore.root)
         return SignerAnswer(status=200, body=b"ready\n", media_type=TEXT)
 
-    def _ca_certificates(self, _call: SignerCall) -> SignerAnswer:
+    def _ca_certificates(self) -> SignerAnswer:
         body = to_base64(certs_only(self.keystore.anchors.identity_cas))
         return SignerAnswer(status=200, body=body, media_type=PKCS7)
 
-    def _request_attributes(self, _call: SignerCall) -> SignerAnswer:
+    def _request_attributes(self) -> SignerAnswer:
         profile = self.keystore.profile
         body = to_base64(request_attributes(profile.participant_key, profile.alternative_key))
         return SignerAnswer(status=200, body=body, media_type=CSRATTRS)
 
-    def _own_bundle(self, call: SignerCall) -> SignerAnswer:
+    def _own_bundle(self, name: str, _body: bytes) -> SignerAnswer:
         with self.keystore.open_ledger() as ledger:
-            holder = self._admission(ledger).holder_of(call)
-            elsewhere = self._fetched(ledger, [holder.name])
-            newest = ledger.of_name("participant", holder.name)[-1].sha256
-        if elsewhere or self._here(holder.name) != newest:
-            raise _misdirected(holder.name)
+            elsewhere = self._fetched(ledger, [name])
+            newest = ledger.of_name("participant", name)[-1].sha256
+        if elsewhere or self._here(name) != newest:
+            raise _misdirected(name)
         with BundleNumbers.of(self.keystore, self.tree) as numbers:
-            return self._bundle(holder.name, numbers)
+            return self._bundle(name, numbers)
 
     def _here(self, name: str) -> str:
         """The SHA-256 of the participant's certificate in the keystore; empty if it has none."""
@@ -253,35 +280,28 @@ class CallHandler:
             with self.keystore.open_ledger() as ledger:
                 self._fetched(ledger, [])
 
-    def _revocation_list(self, _call: SignerCall) -> SignerAnswer:
+    def _revocation_list(self) -> SignerAnswer:
         self._fetch_shared()
         return _file(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
 
-    def _head(self, _call: SignerCall) -> SignerAnswer:
+    def _head(self) -> SignerAnswer:
         path = self.keystore.root / layout.PUBLIC / layout.TREE_HEAD
         return _file(path, TEXT, "there is no signed head of the ledger")
 
-    def _receipt(self, call: SignerCall) -> SignerAnswer:
-        holder = self._holder(call)
-        if holder.name not in {each.receipt.participant for each in read_receipts(call.body)}:
-            raise NotAdmittedError(403, f"the receipt is not of {holder.name}")
-        record_receipts(self.keystore, [(Path("receipt"), call.body)], now=self.clock())
-        return SignerAnswer(status=204, note=f"receipt of {holder.name}")
-
-    def _holder(self, call: SignerCall) -> Requester:
-        with self.keystore.open_ledger() as ledger:
-            return self._admission(ledger).holder_of(call)
+    def _receipt(self, name: str, body: bytes) -> SignerAnswer:
+        take_receipts(self.keystore, name, body, now=self.clock())
+        return SignerAnswer(status=204, note=f"receipt of {name}")
 
 
-def _decided(deciding: Admission, call: SignerCall) -> Admitted | SignerAnswer:
-    """The request that may be answered, or the answer to one that may not."""
-    found: list[Admitted] = []
+def _decided(decide: Callable[[SignerCall], Decision], call: SignerCall) -> Decision | SignerAnswer:
+    """What was decided about the call, or the answer to one that is refused."""
+    found: list[Decision] = []
 
-    def decide() -> SignerAnswer:
-        found.append(deciding.of(call))
+    def ask() -> SignerAnswer:
+        found.append(decide(call))
         return SignerAnswer(status=200)
 
-    refused = _guarded(decide)
+    refused = _guarded(ask)
     return found[0] if found else refused
 
 
@@ -292,20 +312,26 @@ def _guarded(answer: Callable[[], SignerAnswer]) -> SignerAnswer:
     except NotAdmittedError as error:
         return _refused(error)
     except (MalformedError, VerificationError) as error:
-        return SignerAnswer(status=HTTPStatus.BAD_REQUEST, detail=str(error))
+        detail = shown(str(error), _LONGEST)
+        return SignerAnswer(status=HTTPStatus.BAD_REQUEST, detail=detail)
     except PqsecError as error:
         return _failed(error)
 
 
 def _refused(error: NotAdmittedError) -> SignerAnswer:
-    return SignerAnswer(status=error.status, detail=str(error), retry_after=error.retry_after)
+    return SignerAnswer(
+        status=error.status,
+        detail=str(error),
+        problem=error.problem,
+        retry_after=error.retry_after,
+    )
 
 
 def _misdirected(name: str) -> NotAdmittedError:
     """The refusal of what only another server with the same ledger can answer."""
     return NotAdmittedError(
         HTTPStatus.MISDIRECTED_REQUEST,
-        f"this server has not the newest files of {name}: ask another",
+        f"this server does not have the newest files of {name}: ask another",
     )
 
 
@@ -313,13 +339,13 @@ def _failed(error: PqsecError) -> SignerAnswer:
     """The answer for what a CA refuses, or could not do; only the first is the client's."""
     if isinstance(error, VerificationError):
         return SignerAnswer(status=HTTPStatus.FORBIDDEN, detail=str(error))
-    return SignerAnswer(status=HTTPStatus.INTERNAL_SERVER_ERROR, detail=_NOT_DONE, note=str(error))
+    return SignerAnswer(status=HTTPStatus.INTERNAL_SERVER_ERROR, detail=NOT_DONE, note=str(error))
 
 
 def _unavailable(error: PqsecError) -> SignerAnswer:
     """The answer until somebody has repaired the keystore."""
     return SignerAnswer(
-        status=HTTPStatus.SERVICE_UNAVAILABLE, detail=_NOT_DONE, retry_after=60, note=str(error)
+        status=HTTPStatus.SERVICE_UNAVAILABLE, detail=NOT_DONE, retry_after=60, note=str(error)
     )
 
 

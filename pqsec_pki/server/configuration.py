@@ -10,6 +10,7 @@ Paths are relative to its folder. Errors name the file and the line.
 
 import re
 from collections.abc import Mapping
+from dataclasses import field
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -36,7 +37,7 @@ from pqsec_pki.documents.parts_yaml import (
 from pqsec_pki.domain import FACTORY
 from pqsec_pki.errors import located, shown
 from pqsec_pki.est import checked_url
-from pqsec_pki.server.waiting import PendingRequests
+from pqsec_pki.server.waiting import WaitingRequests
 
 _ADDRESS = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9a-zA-Z.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
@@ -83,38 +84,45 @@ class ServerLimits:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class EnrolmentPolicy:
+    """Who gets a certificate over the network, and when."""
+
+    approval: bool = False
+    """Whether requests without a credential wait until somebody decides."""
+    retry_seconds: int = 60
+    """Until a robot whose request waits asks again."""
+    renew_any_time: bool = False
+    """Whether to renew certificates that are not due."""
+    renew_expired: timedelta = timedelta()
+    """For how long after its end a certificate is still renewed."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ServerSettings:
     """What is in `serve.yaml`."""
 
     path: Path
     url: str
-    listen: tuple[tuple[str, int], ...]
-    status: tuple[str, int] | None
+    listen: tuple[tuple[str, int], ...] = (("127.0.0.1", 8443),)
+    status: tuple[str, int] | None = None
     """Where health and metrics are served, without TLS: an address of this machine."""
     keystore: Path
     domain: Path
     state: Path
     """The folder of the signer's socket, and of requests that wait."""
     tls: tuple[TlsFiles, ...]
-    classical: bool
+    classical: bool = False
     """Whether clients without post-quantum key agreement, and with TLS 1.2, may come."""
-    passphrase_file: Path | None
-    front_user: str
+    passphrase_file: Path | None = None
+    front_user: str = ""
     """The user of the process that faces the network; empty for the signer's own."""
-    factories: Mapping[str, FactoryFiles]
+    factories: Mapping[str, FactoryFiles] = field(default_factory=dict)
     """By the names that the domain file has."""
-    approval: bool
-    """Whether requests without a token wait until somebody decides."""
-    retry: int
-    """Seconds until a robot whose request waits shall ask again."""
-    renew_any_time: bool
-    """Whether to renew certificates that are not due."""
-    renew_expired: timedelta
-    """For how long after its end a certificate is still renewed."""
-    token_validity: timedelta
-    revocation_list: timedelta | None
+    policy: EnrolmentPolicy = EnrolmentPolicy()
+    token_validity: timedelta = timedelta(days=7)
+    revocation_list: timedelta | None = None
     """How long the revocation lists are valid that the server issues by itself; None for none."""
-    limits: ServerLimits
+    limits: ServerLimits = ServerLimits()
 
     @property
     def socket(self) -> Path:
@@ -122,9 +130,14 @@ class ServerSettings:
         return self.state / "signer.sock"
 
     @property
-    def pending(self) -> PendingRequests:
-        """Where requests wait."""
-        return PendingRequests(self.state / "waiting", self.limits.waiting)
+    def notices(self) -> Path:
+        """Where the front, started by the signer, tells that it listens."""
+        return self.state / "front.sock"
+
+    @property
+    def waiting(self) -> WaitingRequests:
+        """The requests that wait."""
+        return WaitingRequests(self.state / "waiting", self.limits.waiting)
 
 
 def read_settings(path: Path) -> ServerSettings:
@@ -160,22 +173,9 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
     if not found["tls"]:
         raise refused(item, "tls: no certificate is named")
     found["renew_any_time"] = found.pop("renew", "due") == "any-time"
-    found["retry"] = found.pop("retry_seconds", 60)
-    return {
-        "listen": (("127.0.0.1", 8443),),
-        "status": None,
-        "state": folder / "state",
-        "classical": False,
-        "passphrase_file": None,
-        "front_user": "",
-        "factories": {},
-        "approval": False,
-        "renew_expired": timedelta(),
-        "token_validity": timedelta(days=7),
-        "revocation_list": None,
-        "limits": ServerLimits(),
-        **found,
-    }
+    names = EnrolmentPolicy.__dataclass_fields__.keys() & found.keys()
+    policy = EnrolmentPolicy(**{each: found.pop(each) for each in names})
+    return {"state": folder / "state", "policy": policy, **found}
 
 
 def _limits(item: Item) -> ServerLimits:
@@ -215,7 +215,7 @@ def _path(folder: Path, item: Item) -> Path:
 def _positive(item: Item) -> int:
     found = number(item)
     if not found:
-        raise refused(item, "0 would let nobody in: write a number from 1 on")
+        raise refused(item, "0 is not allowed: write 1 or more")
     return found
 
 

@@ -2,7 +2,8 @@
 
 A request is answered when its robot asks again. Where new certificates need approvals of several
 people, an approved request becomes the one that the domain file names: the next plan has it, and
-the certificate is issued when that is applied.
+the certificate is issued when that is applied. An approval ends if the robot does not fetch its
+certificate.
 """
 
 from collections import Counter
@@ -16,25 +17,34 @@ from pqsec_pki.domain import deliver_request, read_domain
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import Entry, Keystore, Ledger, change, participant_states
 from pqsec_pki.server.configuration import ServerSettings
-from pqsec_pki.server.waiting import PendingRequests, WaitingRequest
+from pqsec_pki.server.waiting import LIFETIME, WaitingRequest, WaitingRequests
 
 APPROVAL, REFUSAL = "request-approval", "request-refusal"
 """Kinds of lines; they have the SHA-256 of the request."""
 
 
-def decision_on(ledger: Ledger, request: CertificateRequest, name: str) -> str:
-    """APPROVAL or REFUSAL of the request, by the ledger; empty if nobody decided."""
-    for kind in (REFUSAL, APPROVAL):
-        if any(each.sha256 == request.fingerprint for each in ledger.of_name(kind, name)):
-            return kind
-    return ""
+def decision_on(ledger: Ledger, request: CertificateRequest, name: str) -> Entry | None:
+    """The line that decides about the request: a refusal, if there is one."""
+    lines = [each for kind in (REFUSAL, APPROVAL) for each in ledger.of_name(kind, name)]
+    return next((each for each in lines if each.sha256 == request.fingerprint), None)
 
 
-def is_late(ledger: Ledger, request: CertificateRequest, name: str) -> bool:
-    """Whether the approval of the request is older than the newest certificate of `name`."""
-    approved, issued = ledger.numbers(APPROVAL), ledger.numbers("participant")
-    lines = ledger.of_name("participant", name)[-1:]
-    return any(issued[each.sha256] > approved.get(request.fingerprint, 0) for each in lines)
+def end_of(approval: Entry) -> datetime:
+    """Until when the approved request is answered."""
+    return approval.made_at + LIFETIME
+
+
+def is_late(ledger: Ledger, approval: Entry) -> bool:
+    """Whether the approval is older than the newest certificate of the participant."""
+    approved = ledger.line_of((APPROVAL,), approval.sha256)
+    newest = ledger.of_name("participant", approval.name)[-1:]
+    return any(ledger.line_of(("participant",), each.sha256) > approved for each in newest)
+
+
+def open_approvals(ledger: Ledger, now: datetime) -> list[Entry]:
+    """The approvals that allow a certificate which is not issued yet, oldest first."""
+    found = ledger.of_kind(APPROVAL)
+    return [each for each in found if now <= end_of(each) and not is_late(ledger, each)]
 
 
 def demanded(policy: ApprovalPolicy | None) -> str:
@@ -45,25 +55,27 @@ def demanded(policy: ApprovalPolicy | None) -> str:
 def decide(
     keystore: Keystore, settings: ServerSettings, ids: Iterable[str], kind: str, *, now: datetime
 ) -> list[WaitingRequest]:
-    """Enter the decision on these requests, all or none, which then wait no more.
+    """Enter the decision on these requests, all or none, which then no longer wait.
 
-    If one is approved, others for its name wait no more either. UsageError for two of one name.
-    Other errors as of `PendingRequests.named`, and of `deliver_request` where approvals are
+    If one is approved, others for its name are dropped. UsageError for two of one name.
+    Other errors as of `WaitingRequests.named`, and of `deliver_request` where approvals are
     demanded.
     """
-    pending = settings.pending
-    chosen = {each.sha256: each for each in map(pending.named, ids)}.values()
+    waiting = settings.waiting
+    chosen = {each.sha256: each for each in map(waiting.named, ids)}.values()
     names = Counter(each.name for each in chosen)
     if kind == APPROVAL and (several := [name for name, count in names.items() if count > 1]):
         raise UsageError(f"approve one request for {', '.join(several)}: the last would replace it")
     with change(keystore.root) as transaction:
         if kind == APPROVAL and demanded(keystore.approvals):
-            _deliver(chosen, pending, settings.domain)
-        transaction.record(*(_entry(each, kind, now) for each in chosen))
+            _deliver(chosen, waiting, settings.domain)
+        for each in chosen:
+            details = {"address": each.address}
+            transaction.record(Entry.of(kind, each.name, each.sha256, now, details=details))
     done = {each.sha256 for each in chosen}
-    for each in pending.all():
+    for each in waiting.all():
         if each.sha256 in done or (kind == APPROVAL and each.name in names):
-            pending.remove(each.sha256)
+            waiting.remove(each.sha256)
     return list(chosen)
 
 
@@ -80,21 +92,9 @@ def replacing(
     )
 
 
-def _deliver(chosen: Iterable[WaitingRequest], pending: PendingRequests, domain: Path) -> None:
+def _deliver(chosen: Iterable[WaitingRequest], waiting: WaitingRequests, domain: Path) -> None:
     members = read_domain(domain).members
     if missing := [each.name for each in chosen if each.name not in members]:
-        raise UsageError(f"{domain} does not name {', '.join(missing)} any more")
+        raise UsageError(f"{domain} no longer names {', '.join(missing)}")
     for each in chosen:
-        deliver_request(members[each.name], pending.request(each))
-
-
-def _entry(waits: WaitingRequest, kind: str, now: datetime) -> Entry:
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=kind,
-        name=waits.name,
-        serial=None,
-        sha256=waits.sha256,
-        not_after=None,
-        details={"address": waits.address},
-    )
+        deliver_request(members[each.name], waiting.request(each))

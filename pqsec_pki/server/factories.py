@@ -109,10 +109,10 @@ def factory_of(member: Member, shown: Certificate, known: Mapping[str, Factory])
 
 
 def _refuse_other_purpose(device: Certificate) -> None:
-    """VerificationError for a CA, and for a key that shall not sign, or prove no client."""
+    """VerificationError for a CA, and for a key that may not sign, or not authenticate a client."""
     constraints = device.extension(x509.BasicConstraints)
     if constraints and constraints.ca:
-        raise VerificationError("it is a CA's")
+        raise VerificationError("it is the certificate of a CA")
     usage = device.extension(x509.KeyUsage)
     if usage and not usage.digital_signature:
         raise VerificationError("its key may not sign (keyUsage lacks digitalSignature)")
@@ -132,7 +132,7 @@ def _parsed(der: bytes) -> crypto.X509:
     try:
         return crypto.load_certificate(crypto.FILETYPE_ASN1, der)
     except crypto.Error:
-        raise VerificationError("OpenSSL reads it not as a certificate") from None
+        raise VerificationError("OpenSSL cannot read it as a certificate") from None
 
 
 def _certificate(found: crypto.X509) -> Certificate:

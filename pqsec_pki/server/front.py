@@ -9,7 +9,6 @@ import time
 from collections import Counter
 from dataclasses import field
 from http import HTTPStatus
-from typing import Any
 
 from twisted.web.http import datetimeToString
 
@@ -93,9 +92,8 @@ class Front:
         self, request: LimitedRequest, route: Route | None, address: str
     ) -> SignerAnswer | None:
         """The answer to what nobody may ask, or nobody so often."""
-        wait = self.by_address.wait(key_of(address))
-        if wait:
-            return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
+        if wait := self.by_address.wait(key_of(address)):
+            return _too_many(wait)
         if route is None:
             return None
         if request.method.decode("ascii", "replace") not in route.methods:
@@ -104,7 +102,7 @@ class Front:
         if route.types and media_type_of(request) not in route.types:
             return SignerAnswer(status=415, detail=f"send {' or '.join(sorted(route.types))}")
         if key_of(address) not in self.known and (wait := self.by_label.wait(route.label)):
-            return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
+            return _too_many(wait)
         return None
 
 
@@ -187,6 +185,10 @@ class Exchange:
         )
 
 
+def _too_many(wait: int) -> SignerAnswer:
+    return SignerAnswer(status=429, retry_after=wait, detail="too many requests: ask later")
+
+
 def _media_type_of(answer: SignerAnswer) -> str:
     if not answer.detail:
         return answer.media_type
@@ -203,5 +205,6 @@ def _body(answer: SignerAnswer) -> bytes:
         title = HTTPStatus(answer.status).phrase
     except ValueError:
         title = "Error"
-    value: dict[str, Any] = {"title": title, "status": answer.status, "detail": answer.detail}
+    kind = {"type": answer.problem} if answer.problem else {}
+    value = {**kind, "title": title, "status": answer.status, "detail": answer.detail}
     return json.dumps(value).encode() + b"\n"

@@ -73,7 +73,7 @@ class Shares:
         self.total += amount
 
     def remove(self, key: str, held: Any) -> None:
-        """It is held no more."""
+        """It is no longer held."""
         mine = self._held.get(key, {})
         amount = mine.pop(held, 0)
         self.total -= amount
@@ -81,6 +81,20 @@ class Shares:
         if not mine:
             self._held.pop(key, None)
             del self._sums[key]
+
+    def in_turn(self) -> Any:
+        """What the next address has held longest, which is removed; None for nothing.
+
+        Each address has its turn, however much it holds.
+        """
+        if not self._held:
+            return None
+        key = next(iter(self._held))
+        found = next(iter(self._held[key]))
+        self.remove(key, found)
+        if key in self._held:
+            self._held[key] = self._held.pop(key)  # the last now
+        return found
 
     def to_give_up(self) -> Any:
         """What the address with the most has held longest, which is removed; None for nothing.
@@ -127,7 +141,7 @@ class Connections:
         return room and not self._often.wait(address)
 
     def to_close(self) -> Any:
-        """What is closed for a new one, and not counted any more; None if there is nothing."""
+        """What is closed for a new one, and no longer counted; None if there is nothing."""
         found = self._idle.to_give_up()
         self.closed(found)
         return found
@@ -148,7 +162,7 @@ class Connections:
             self._idle.remove(address, link)
 
     def closed(self, link: Any) -> None:
-        """It is open no more; this may be told twice."""
+        """It was closed; this may be called twice."""
         if address := self._addresses.pop(link, ""):
             self._idle.remove(address, link)
             self._open[address] -= 1

@@ -1,6 +1,7 @@
 """Who asks, what may be answered, and the refusal of the rest."""
 
-from datetime import datetime
+from collections.abc import Iterable
+from datetime import datetime, timedelta
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.certificates import Certificate
@@ -9,13 +10,18 @@ from pqsec_pki.keystore import Entry
 from pqsec_pki.lifecycle import ParticipantSpec
 from pqsec_pki.server.token_lines import TokenState
 
+MOST_OF_DAY = 24
+"""Certificates that one participant gets by itself, and receipts that it sends: each is a line of
+the ledger, which all read."""
+_DAY, _HOUR = timedelta(days=1), 3600
+
 
 class NotAdmittedError(PqsecError):
     """The request is refused, with this status of HTTP."""
 
-    def __init__(self, status: int, words: str, *, retry_after: int = 0) -> None:
+    def __init__(self, status: int, words: str, *, retry_after: int = 0, problem: str = "") -> None:
         super().__init__(words)
-        self.status, self.retry_after = status, retry_after
+        self.status, self.retry_after, self.problem = status, retry_after, problem
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,6 +62,13 @@ class Requester:
             raise NotAdmittedError(403, f"the client certificate is not for {name}")
 
     def refuse_used(self, now: datetime) -> None:
-        """NotAdmittedError if its token admits nobody any more."""
+        """NotAdmittedError if its token was revoked, expired or is used up."""
         if self.token is not None and (why := self.token.end(now)):
             raise NotAdmittedError(401, f"the enrolment token is {why}")
+
+
+def refuse_many(what: str, lines: Iterable[Entry], now: datetime) -> None:
+    """NotAdmittedError if these lines of the ledger have as many of the last day as are allowed."""
+    if sum(now - each.made_at < _DAY for each in lines) >= MOST_OF_DAY:
+        words = f"there were {MOST_OF_DAY} {what} within a day: ask again later"
+        raise NotAdmittedError(429, words, retry_after=_HOUR)

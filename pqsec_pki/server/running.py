@@ -7,6 +7,7 @@ the other ends too.
 import gc
 import os
 import pwd
+import resource
 import signal
 import socket
 import subprocess
@@ -25,7 +26,7 @@ from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.events import log
 from pqsec_pki.server.factories import read_factories
-from pqsec_pki.server.signer import SignerProcess, give_to, listening, users_of
+from pqsec_pki.server.signer import SignerProcess, give_to, listening, owned, users_of
 
 _FIRST_GIVEN = 3
 """The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
@@ -46,8 +47,12 @@ def run_signer(
     unlock: Unlock,
     clock: Callable[[], datetime],
     pass_on: Callable[[], None] = lambda: None,
+    front_listens: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`."""
+    """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`.
+
+    systemd is told that the service is ready when the front listens, too.
+    """
     keystore = Keystore.open(settings.keystore, to_change=True)
     authorities, ledger = unlock(keystore), SeenLedger()
 
@@ -62,30 +67,34 @@ def run_signer(
             authorities=authorities,
             desired=desired,
             clock=clock,
-            any_time=found.renew_any_time,
-            renew_expired=found.renew_expired,
-            waiting=found.pending,
-            anybody=found.approval,
-            retry=found.retry,
+            waiting=found.waiting,
+            policy=found.policy,
             factories=factories,
-            list_validity=found.revocation_list,
+            revocation_list=found.revocation_list,
             seen=ledger,
         )
+
+    def ready() -> bool:
+        if listens := front_listens():
+            notify("READY=1", os.environ)
+        return listens
 
     users = users_of(settings.front_user)
     make_state(settings)
     stay()
     listener = listening(settings.socket, settings.front_user)
     with listener:
-        signer = SignerProcess(listener, load, users, log, pass_on)
-        notify("READY=1", os.environ)
-        signer.run()
+        SignerProcess(listener, load, users, log, pass_on, ready).run()
     with suppress(OSError):
         settings.socket.unlink()
 
 
 def stay() -> None:
-    """Prepare this process to run for long: what is dropped leaves the memory."""
+    """Prepare this process to run for long: what is dropped leaves the memory, and never by a file.
+
+    A core file would have its keys.
+    """
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     gc.freeze()  # imported modules are never freed
     gc.set_threshold(*_COLLECTED)
 
@@ -110,8 +119,10 @@ def make_state(settings: ServerSettings) -> None:
 def run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime]) -> None:
     """Run the front as a process of its own, and the signer in this one.
 
-    KeystoreError if the front ends by itself.
+    KeystoreError if the front ends by itself, as when it cannot listen.
     """
+    make_state(settings)
+    notices = _notices(settings)
     front = _started(settings)
     ended: list[int] = []
 
@@ -121,25 +132,63 @@ def run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datet
             ended.append(code)
             os.kill(os.getpid(), signal.SIGTERM)
 
+    signal.signal(signal.SIGTERM, _give_up)  # until the signer can stop in order
     signal.signal(signal.SIGCHLD, child_ended)
     try:
-        run_signer(settings, unlock, clock, lambda: front.send_signal(signal.SIGHUP))
+        with notices, suppress(_GivenUpError):
+            run_signer(
+                settings,
+                unlock,
+                clock,
+                lambda: front.send_signal(signal.SIGHUP),
+                lambda: _has_notice(notices),
+            )
     finally:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)
         _stop(front)
+        with suppress(OSError):
+            settings.notices.unlink()
     if any(ended):  # with 0 it was asked to end, as by who stops a whole service
         raise KeystoreError(f"the process that faces the network ended with {ended[0]}")
 
 
+class _GivenUpError(BaseException):
+    """SIGTERM came while the signer was starting."""
+
+
+def _give_up(*_: object) -> None:
+    raise _GivenUpError
+
+
+def _notices(settings: ServerSettings) -> socket.socket:
+    """Where the front tells that it listens, as systemd would be told.
+
+    In the state folder: an abstract socket has no permissions, and who fills it stops the front.
+    """
+    made = owned(socket.SOCK_DGRAM, settings.notices, settings.front_user)
+    made.settimeout(0)
+    return made
+
+
+def _has_notice(notices: socket.socket) -> bool:
+    with suppress(BlockingIOError):
+        return bool(notices.recv(64))
+    return False
+
+
 def _started(settings: ServerSettings) -> "subprocess.Popen[bytes]":
-    command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(settings.path)]
+    # -P: else Python would look for modules in the folder where the server is started
+    command = [sys.executable, "-P", "-m", "pqsec_pki", "serve", "--config", str(settings.path)]
     sockets = given_sockets(os.environ)
     passed = [each.fileno() for each in sockets]
     user = settings.front_user if os.geteuid() == 0 and settings.front_user else None
     groups: Sequence[str | int] | None = [] if user else None
     process = subprocess.Popen(  # noqa: S603 -- this program
         [*command, "--part", "front"],
-        env={name: each for name, each in os.environ.items() if not name.startswith(_NOT_PASSED)},
+        env={
+            **{name: each for name, each in os.environ.items() if not name.startswith(_NOT_PASSED)},
+            "NOTIFY_SOCKET": str(settings.notices.absolute()),
+        },
         pass_fds=passed,
         user=user,
         group=pwd.getpwnam(user).pw_gid if user else None,

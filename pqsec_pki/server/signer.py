@@ -21,7 +21,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import FileVersion, disk_errors, file_version
 from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
 from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
-from pqsec_pki.server.call_handling import CallHandler
+from pqsec_pki.server.call_handling import NOT_DONE, CallHandler
 from pqsec_pki.server.events import Log
 
 MOST = 64
@@ -32,7 +32,6 @@ _BACKLOG = 1024
 _PEER = struct.Struct("iII")
 _POLL = 0.5
 _LIST_POLL = 600.0
-_FAILED = "the server could not do it: its log says why"
 
 
 @dataclass(slots=True)
@@ -47,11 +46,15 @@ class SignerProcess:
     log: Log
     pass_on: Callable[[], None]
     """Tells the front to read the configuration again too."""
+    front_listens: Callable[[], bool]
+    """Whether the front has its sockets; asked until it has."""
     handler: CallHandler = field(init=False)
     trouble: str = ""
     """Why files that were changed are not in force; empty if they are."""
     stopping: bool = False
     reloading: bool = False
+    _in_use: bool = False
+    """Whether the front listens. If it cannot, nothing is issued."""
     _list_after: float = 0.0
     """When the revocation list is looked at next."""
     _read: dict[Path, FileVersion] = field(default_factory=dict)
@@ -72,9 +75,11 @@ class SignerProcess:
                 self.reloading = False
                 self.pass_on()
                 self._load("the configuration")
-            self._keep_list()
             links = self._arrived()
             self._follow()
+            self._in_use = self._in_use or self.front_listens()
+            if self._in_use:
+                self._keep_list()
             self._serve(links)
 
     def _stop(self, _number: int, _frame: FrameType | None) -> None:
@@ -141,7 +146,7 @@ class SignerProcess:
         except Exception as error:  # noqa: BLE001 -- one call must not end the server
             known = isinstance(error, PqsecError)
             note = str(error) if known else traceback.format_exc()
-            failed = SignerAnswer(status=503, detail=_FAILED, retry_after=10, note=note)
+            failed = SignerAnswer(status=503, detail=NOT_DONE, retry_after=10, note=note)
             answers = [failed] * len(calls)
         for call, answer in zip(calls, answers, strict=True):
             if answer.note:
@@ -187,24 +192,30 @@ class _LinkReader:
 
 
 def listening(path: Path, front_user: str = "") -> socket.socket:
+    """A socket that listens at `path`; as of `owned`."""
+    listener = owned(socket.SOCK_STREAM, path, front_user)
+    listener.listen(_BACKLOG)
+    return listener
+
+
+def owned(kind: socket.SocketKind, path: Path, front_user: str = "") -> socket.socket:
     """A socket at `path`, for its owner, or also for its group; FileError if it cannot be made.
 
     For root the group is that of `front_user`.
     """
-    listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    made = socket.socket(socket.AF_UNIX, kind)
     before = os.umask(0o117 if front_user else 0o177)
     try:
         with disk_errors(path):
             path.unlink(missing_ok=True)
-            listener.bind(str(path))
+            made.bind(str(path))
             give_to(path, front_user)
-            listener.listen(_BACKLOG)
     except BaseException:
-        listener.close()
+        made.close()
         raise
     finally:
         os.umask(before)
-    return listener
+    return made
 
 
 def give_to(path: Path, front_user: str) -> None:

@@ -3,7 +3,8 @@
 The ledger has the SHA-256 of the secret, which is random: nobody finds the secret by trying.
 """
 
-from collections.abc import Iterable, Iterator
+import hashlib
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import datetime
 from typing import Self
@@ -23,7 +24,8 @@ from pqsec_pki.keystore import (
 )
 
 TOKEN, TOKEN_END, ADMISSION = "enrolment-token", "enrolment-token-end", "admission"
-"""Kinds of lines. An admission has the SHA-256 of the request, and its name says by what."""
+"""Kinds of lines. The name of an admission says by what."""
+_REQUEST = "request"
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +49,7 @@ class TokenState:
         """KeystoreError for a damaged line."""
         details = entry.details
         if not details.get("uses", "").isdecimal():
-            raise KeystoreError(f"the ledger's line on token {shown(entry.name)} is damaged")
+            raise entry.damaged()
         return cls(
             id=entry.name,
             names=details.get("names", ""),
@@ -65,7 +67,7 @@ class TokenState:
         return any(matching(each, [name]) for each in self.names.split())
 
     def end(self, now: datetime) -> str:
-        """Why it admits nobody any more; empty if it does."""
+        """Why it admits no more requests; empty if it does."""
         if self.revoked:
             return "revoked"
         if now > self.not_after:
@@ -117,18 +119,12 @@ def record_token(
             "a token that replaces a participant's certificate is for one name and one use"
         )
     if token.not_after <= now:
-        raise UsageError("the token would have ended")
+        raise UsageError("the end of the token is in the past")
     details = {"names": token.names, "uses": str(uses)} | ({"replaces": "yes"} if replaces else {})
     with change(keystore.root) as transaction:
         transaction.record(
-            Entry(
-                at=now.isoformat(timespec="seconds"),
-                kind=TOKEN,
-                name=token.id,
-                serial=None,
-                sha256=token.secret_hash,
-                not_after=token.not_after.isoformat(),
-                details=details,
+            Entry.of(
+                TOKEN, token.id, token.secret_hash, now, not_after=token.not_after, details=details
             )
         )
 
@@ -137,7 +133,7 @@ def revoke_tokens(keystore: Keystore, ids: Iterable[str], *, now: datetime) -> l
     """End these tokens, all or none; KeystoreError for one that is not in the ledger."""
     with change(keystore.root) as transaction, keystore.open_ledger() as ledger:
         found = [_token(ledger, each) for each in dict.fromkeys(ids)]
-        transaction.record(*_ends(found, now))
+        transaction.record(*(Entry.of(TOKEN_END, each.name, each.sha256, now) for each in found))
         return [replace(TokenState.of(ledger, each), revoked=True) for each in found]
 
 
@@ -149,18 +145,6 @@ def _token(ledger: Ledger, token: str) -> Entry:
         f"the ledger has no enrolment token {shown(token)}",
         hint="`pqsec enrolment-token list` lists them",
     )
-
-
-def _ends(found: Iterable[Entry], now: datetime) -> Iterator[Entry]:
-    for each in found:
-        yield Entry(
-            at=now.isoformat(timespec="seconds"),
-            kind=TOKEN_END,
-            name=each.name,
-            serial=None,
-            sha256=each.sha256,
-            not_after=None,
-        )
 
 
 def admission_entry(
@@ -175,13 +159,15 @@ def admission_entry(
 
     `certificate` is that of the device, by its factory.
     """
-    shown = {"certificate": certificate.fingerprint} if certificate else {}
-    return Entry(
-        at=now.isoformat(timespec="seconds"),
-        kind=ADMISSION,
-        name=by,
-        serial=None,
-        sha256=request.fingerprint,
-        not_after=None,
-        details={"participant": name, **shown},
+    device = {"certificate": certificate.fingerprint} if certificate else {}
+    asked = request.fingerprint
+    # The ledger has one line of a kind and SHA-256, and each use must have its own.
+    sha256 = hashlib.sha256(f"{by} {asked}".encode()).hexdigest()
+    return Entry.of(
+        ADMISSION, by, sha256, now, details={"participant": name, _REQUEST: asked, **device}
     )
+
+
+def request_of(admission: Entry) -> str:
+    """The SHA-256 of the request that was admitted."""
+    return admission.details.get(_REQUEST, "")

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from datetime import UTC, datetime, timedelta
+from functools import lru_cache
 from pathlib import Path
 from typing import Any, Self
 
@@ -23,12 +24,14 @@ from pqsec_pki.server.addresses import key_of
 
 MOST_OF_NAME = 3
 LIFETIME = timedelta(days=30)
-"""Since the request was last sent."""
+"""Since the request was last sent, or since it was approved."""
 _SHORTEST = 16
 """Digits of a request's SHA-256 that name it: with 8, a stranger finds a request for a key of its
 own that begins like the robot's, in a day."""
 _LONGEST = 8192
 """Octets of the first line."""
+_REMEMBERED = 2048
+"""Requests that are not read again: for each new one all are looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,7 +79,7 @@ class WaitingRequest:
 
 
 @dataclass(frozen=True, slots=True)
-class PendingRequests:
+class WaitingRequests:
     """The folder with the requests that wait, at most `most`."""
 
     folder: Path
@@ -84,11 +87,10 @@ class PendingRequests:
 
     def all(self) -> list[WaitingRequest]:
         """All, oldest first; errors name the file."""
-        if not exists(self.folder):
-            return []
         with disk_errors(self.folder):
-            paths = sorted(self.folder.glob("*.request"))
-        return sorted(filter(None, map(_read, paths)), key=lambda each: each.received)
+            paths = list(self.folder.glob("*.request"))
+        found = filter(None, map(_read, paths))
+        return sorted(found, key=lambda each: (each.received, each.sha256))
 
     def add(self, request: CertificateRequest, name: str, address: str, now: datetime) -> None:
         """Keep the request, in place of another one if there are too many.
@@ -112,11 +114,11 @@ class PendingRequests:
         with located(path):
             found = CertificateRequest.from_der(read(path).partition(b"\n")[2])
             if found.fingerprint != waits.sha256:
-                raise MalformedError("it has another request than its name says")
+                raise MalformedError("its name is not the SHA-256 of its request")
         return found
 
     def remove(self, sha256: str) -> None:
-        """It waits no more."""
+        """Drop the request, if it is there."""
         with disk_errors(self.folder):
             self._path(sha256).unlink(missing_ok=True)
 
@@ -160,11 +162,24 @@ def _read(path: Path) -> WaitingRequest | None:
     """What waits there; None if it does no more."""
     with located(path):
         try:
-            with disk_errors(path), path.open("rb") as file:
-                line = file.readline(_LONGEST)
-                asked = datetime.fromtimestamp(os.fstat(file.fileno()).st_mtime, UTC)
+            with disk_errors(path):
+                found = path.stat()
+                line = _first_line(path, found.st_ino, found.st_size)
         except FileError:
             if exists(path):
                 raise
             return None
-        return WaitingRequest.of(line, path.stem, asked)
+        return _waiting(line, path.stem, found.st_mtime_ns)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _first_line(path: Path, _inode: int, _size: int) -> bytes:
+    """The first line of the file, which is replaced and never changed."""
+    with path.open("rb") as file:
+        return file.readline(_LONGEST)
+
+
+@lru_cache(maxsize=_REMEMBERED)
+def _waiting(line: bytes, sha256: str, asked: int) -> WaitingRequest:
+    """The request with that first line; `asked` is a time in nanoseconds."""
+    return WaitingRequest.of(line, sha256, datetime.fromtimestamp(asked / 1e9, UTC))

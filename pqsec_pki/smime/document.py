@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
+from functools import cached_property
 from itertools import islice
 
 from pqsec_pki._asn1 import TLV, SignedData, SignerInfo, raw
@@ -58,7 +59,7 @@ class FoundSignature:
         }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)  # no slots, for cached properties
 class Verified:
     """A signed document whose signatures were verified."""
 
@@ -73,7 +74,7 @@ class Verified:
         repr=False, compare=False
     )
 
-    @property
+    @cached_property
     def message(self) -> bytes:
         """The S/MIME file in pqsec's canonical form, with verified content only.
 

@@ -244,7 +244,7 @@ def _key(uri: KeyUri, spki: bytes, entry: Login) -> ExternalKey:
 def _private(session: Any, uri: KeyUri) -> Any:
     found = _object(session, uri, private=True)
     if found is None:
-        raise _NoKeyError(f"the {uri.place} has no private key {uri} any more")
+        raise _NoKeyError(f"the {uri.place} no longer has the private key {uri}")
     return found
 
 

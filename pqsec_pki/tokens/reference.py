@@ -14,7 +14,7 @@ from pqsec_pki.errors import MalformedError
 from pqsec_pki.tokens.uri import SCHEME
 
 _PROVIDER_URI, _OTHER_URI = "PKCS#11 PROVIDER URI", "PQSEC KEY URI"
-_BLOCK = re.compile(
+_BLOCK = (
     rb"\s*-----BEGIN (?P<label>PKCS#11 PROVIDER URI|PQSEC KEY URI)-----\r?\n"
     rb"(?P<text>(?:[A-Za-z0-9+/=]+\r?\n)+)"
     rb"-----END (?P=label)-----\s*"
@@ -36,7 +36,7 @@ def reference_to(uri: str) -> bytes:
 
 def uri_in(data: bytes) -> str:
     """The URI in such a file; MalformedError if there is anything else in it."""
-    block = _BLOCK.fullmatch(data)
+    block = re.fullmatch(_BLOCK, data)
     if not block:
         raise MalformedError("not one reference to a key, in PEM")
     try:

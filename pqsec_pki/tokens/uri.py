@@ -18,8 +18,8 @@ _OF_PATH = (*_TOKEN, *_OBJECT, "type")
 _MODULE = ("module-path", "module-name")
 _UNRESERVED = ":[]@!$'()*+,="
 """Characters that RFC 7512 allows in a value of the path besides those that `quote` leaves."""
-_PIN = re.compile(r"(pin-value=)[^&]*", re.IGNORECASE)
-_PERCENT = re.compile(r"%(?![0-9A-Fa-f]{2})")
+_PIN = r"(?i)(pin-value=)[^&]*"
+_PERCENT = r"%(?![0-9A-Fa-f]{2})"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -91,7 +91,7 @@ def usable(uri: str) -> str:
 
 def without_pin(uri: str) -> str:
     """The URI as it may be shown: other tools write PINs into it, which pqsec refuses."""
-    return _PIN.sub(r"\1(not shown)", uri)
+    return re.sub(_PIN, r"\1(not shown)", uri)
 
 
 def _quoted(value: str | bytes) -> str:
@@ -104,7 +104,7 @@ def _attributes(text: str, separator: str) -> dict[str, bytes]:
     found: dict[str, bytes] = {}
     for item in filter(None, text.split(separator)):
         name, equals, value = item.partition("=")
-        if not equals or not value or not value.isascii() or _PERCENT.search(value):
+        if not equals or not value or not value.isascii() or re.search(_PERCENT, value):
             raise UsageError(f"'{name}' in the URI of a key has no valid value", hint=_EXAMPLE)
         if name in found:
             raise UsageError(f"the URI of a key has '{name}' twice")

@@ -157,6 +157,8 @@ class _Crowd:
 
     def exchange(self, samples: int, repair: float) -> int:
         """The samples that do not arrive when each host sends so many to all others."""
+        if not samples:  # to a peer, 0 only asks what it has received
+            return 0
         expected = samples * (len(self._hosts) - 1)
         self.tell(str(samples))
         self.until(lambda each: bool(each.times("sent")), _SPARE)

@@ -11,7 +11,7 @@ from pathlib import Path
 
 from pqsec_pki.credentials import ALT_KEY, PERMISSIONS_ALT_CA
 from pqsec_pki.errors import UsageError, shown
-from pqsec_pki.plugin.settings import FILE as SETTINGS
+from pqsec_pki.plugin import SETTINGS
 from pqsec_pki.stacks import SMALL_FRAGMENT
 from pqsec_pki.vendors import _preload, own_plugin
 from pqsec_pki.vendors._datagrams import MAX_MESSAGE

@@ -19,6 +19,7 @@ from pqsec_pki.credentials import (
     PERMISSIONS_CA,
     REQUEST,
     REVOCATION_LIST,
+    SIX,
     Credentials,
     verify_credentials,
 )
@@ -29,8 +30,6 @@ from pqsec_pki.tokens import is_reference, uri_in, usable
 from pqsec_pki.vendors.exports import PASSWORD_VARIABLE, Options
 
 _INSTALLED = "/etc/dds/current/enclaves"
-SIX = (IDENTITY_CA, CERTIFICATE, KEY, PERMISSIONS_CA, GOVERNANCE, PERMISSIONS)
-"""The files that every stack needs; ROS 2 does not report which one is missing."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -33,11 +33,12 @@ FASTDDS_SOURCES = SOURCES.with_name("fastdds")
 
 _SHIM = ("wire.c", "frames.c", "link.c", "agent.c", "watch.c")
 _ADAPTER = ("agent.cpp", "sessions.cpp", "authentication.cpp", "access_control.cpp")
-_FLAGS = (
+FLAGS = (
     *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),
     *("-U_FORTIFY_SOURCE", "-D_FORTIFY_SOURCE=2"),
 )
-_LINKED = ("-shared", "-Wl,-z,relro", "-Wl,-z,now", "-Wl,-z,defs", "-Wl,-z,nodelete")
+LINKED = ("-shared", "-Wl,-z,relro", "-Wl,-z,now", "-Wl,-z,defs", "-Wl,-z,nodelete")
+"""For every adapter, in C and C++, as the line before."""
 _SECONDS = 300
 _DESTRUCTORS = 2
 
@@ -87,9 +88,9 @@ def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
     """The commands that compile them, in a folder with the sources."""
     build = stack.library.build
     python = f'-DPQSEC_PYTHON="{sys.executable}"'
-    yield [compilers.c, "-std=c11", *_FLAGS, python, "-c", *_SHIM]
+    yield [compilers.c, "-std=c11", *FLAGS, python, "-c", *_SHIM]
     yield [
-        *(compilers.cxx, "-std=c++17", "-fno-ipa-icf", *_FLAGS, *_LINKED),
+        *(compilers.cxx, "-std=c++17", "-fno-ipa-icf", *FLAGS, *LINKED),
         *(f"-DPQSEC_FASTDDS={stack.generation}", f'-DPQSEC_BUILD_ID="{build}"'),
         *(["-DPQSEC_BY_PROPERTIES=1"] if stack.by_properties else []),
         *(["-DPQSEC_MORE_FUNCTIONS=1"] if stack.more_functions else []),
@@ -98,7 +99,7 @@ def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
         *(stack.seen(stack.library.path), f"-L{stack.seen(stack.library.path.parent)}"),
         "-lfastcdr",
     ]
-    yield [compilers.c, "-std=c11", *_FLAGS, *_LINKED, "-o", PRELOAD, "preload.c", "-ldl"]
+    yield [compilers.c, "-std=c11", *FLAGS, *LINKED, "-o", PRELOAD, "preload.c", "-ldl"]
 
 
 def _run(command: Sequence[str], folder: Path) -> None:

@@ -21,7 +21,7 @@ from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.exports import Version
-from pqsec_pki.vendors.fastdds_adapter import Compilers
+from pqsec_pki.vendors.fastdds_adapter import FLAGS, LINKED, Compilers
 from pqsec_pki.vendors.opendds_library import SECURITY, OpenDds
 from pqsec_pki.vendors.own_plugin import OPENDDS
 
@@ -38,11 +38,6 @@ _DEFINED = (
     "-DOPENDDS_SECURITY",  # from 3.27 or so on, a header has it too
     "-D__ACE_INLINE__",  # then it does not matter how ACE was built
 )
-_FLAGS = (
-    *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),
-    *("-U_FORTIFY_SOURCE", "-D_FORTIFY_SOURCE=2"),
-)
-_LINKED = ("-shared", "-Wl,-z,relro", "-Wl,-z,now", "-Wl,-z,defs", "-Wl,-z,nodelete")
 _LIBRARIES = ("OpenDDS_Dcps", "TAO_AnyTypeCode", "TAO", "ACE")
 _PROBED = "stack.hpp"
 """Includes every header of OpenDDS that the adapter does, and uses what differs in versions."""
@@ -67,10 +62,10 @@ def commands(stack: OpenDds, standard: str, compilers: Compilers) -> Iterator[li
     """What compiles it, in a folder with the sources."""
     shim = sorted(path.name for path in SOURCES.glob("*.c"))
     status = stack.library.path.stat()
-    yield [compilers.c, "-std=c11", *_FLAGS, f'-DPQSEC_PYTHON="{sys.executable}"', "-c", *shim]
+    yield [compilers.c, "-std=c11", *FLAGS, f'-DPQSEC_PYTHON="{sys.executable}"', "-c", *shim]
     yield [
         *_compiler(stack, standard, compilers),
-        *_LINKED,
+        *LINKED,
         f'-DPQSEC_BUILTIN="{stack.library.path}"',
         f"-DPQSEC_BUILTIN_SIZE={status.st_size}",
         f"-DPQSEC_BUILTIN_TIME={int(status.st_mtime)}",
@@ -84,7 +79,7 @@ def commands(stack: OpenDds, standard: str, compilers: Compilers) -> Iterator[li
 
 def _compiler(stack: OpenDds, standard: str, compilers: Compilers) -> list[str]:
     include = [word for each in stack.include for word in ("-isystem", str(each))]
-    return [compilers.cxx, f"-std={standard}", *_FLAGS, *_DEFINED, "-I.", *include]
+    return [compilers.cxx, f"-std={standard}", *FLAGS, *_DEFINED, "-I.", *include]
 
 
 def _standard(stack: OpenDds, folder: Path, compilers: Compilers) -> str:

@@ -10,7 +10,7 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from pqsec_pki.access import Action
-from pqsec_pki.credentials import REVOCATION_LIST
+from pqsec_pki.credentials import REVOCATION_LIST, SIX
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.keystore import Keystore, regular_name
@@ -29,7 +29,7 @@ from pqsec_pki.vendors._ros2_environment import (
 )
 from pqsec_pki.vendors._ros2_needs import Needs
 from pqsec_pki.vendors._ros2_plugin import CYCLONE, RMW
-from pqsec_pki.vendors.enclave import SIX, StackEnclave
+from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exports import Export, Options
 from pqsec_pki.vendors.ros2_check import Check
 

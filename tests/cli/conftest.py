@@ -10,12 +10,10 @@ import json
 import os
 import shlex
 import shutil
-import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any
 
@@ -23,9 +21,10 @@ import click
 import pytest
 
 from pqsec_pki.algorithms import PROFILES
-from pqsec_pki.cli import main
 from pqsec_pki.cli import pqsec as PQSEC  # noqa: N812 -- a fixture has that name
 from pqsec_pki.cli._printing import JSON_VERSION
+from tests.measured import measured_too
+from tests.running import clean_environment, run_here
 
 NAMES = [profile.name for profile in PROFILES]
 PARTICIPANTS = ("/talker", "/listener")
@@ -33,7 +32,7 @@ EXTENSION = Path(__file__).parents[2] / "examples/extension"
 
 AT_ONCE = (
     "-c",
-    "from pqsec_pki.cli import _progress as shown, main; shown._FIRST = shown._NEXT = 0.02; main()",
+    "from pqsec_pki.cli import _progress as it, main; it._FIRST = it._NEXT = 0.002; main()",
 )
 """pqsec, which shows its progress soon, and often."""
 ERASE = "\r\x1b[K"
@@ -95,13 +94,6 @@ class Result:
         return self
 
 
-def clean_environment(**extra: str) -> dict[str, str]:
-    """The environment, less what pqsec listens to; streams are buffered, as Python does it."""
-    dropped = ("PQSEC_", "ROS_SECURITY_", "PYTHONUNBUFFERED")
-    kept = {k: v for k, v in os.environ.items() if not k.startswith(dropped)}
-    return {**kept, "NO_COLOR": "1", **extra}  # test_terminal.py is about colours
-
-
 def visible(shown: str) -> str:
     """What stays on a terminal, of all that was sent to it."""
     left = ""
@@ -124,34 +116,11 @@ def run_in() -> Run:
     """run_in(folder, "ca show", ...) runs the command there, in this process."""
 
     def run(folder: Path, line: str, *more: object, **environment: str) -> Result:
-        out, err = BytesIO(), BytesIO()
-        with pytest.MonkeyPatch.context() as patch, Path(os.devnull).open() as nothing:
-            patch.chdir(folder)
-            for name in set(os.environ) - set(clean_environment()):
-                patch.delenv(name)
-            for name, value in environment.items():
-                patch.setenv(name, value)
-            patch.setattr(sys, "argv", ["pqsec", *shlex.split(line), *map(str, more)])
-            patch.setattr(sys, "warnoptions", ["error"])  # else main hides warnings from us
-            patch.setattr(sys, "stdin", nothing)
-            patch.setattr(sys, "stdout", TextIOWrapper(out, "utf-8", write_through=True))
-            patch.setattr(sys, "stderr", TextIOWrapper(err, "utf-8", write_through=True))
-            before, mask = signal.getsignal(signal.SIGPIPE), os.umask(0o022)
-            os.umask(mask)
-            try:
-                with pytest.raises(SystemExit) as end:
-                    main()
-            finally:
-                signal.signal(signal.SIGPIPE, before)
-                os.umask(mask)
-            code = end.value.code
-            command = command_of(shlex.split(line))
-            assert code in getattr(command, "exit_codes", {0, 1, 2, 3}), (
-                line,
-                code,
-                "not in --help",
-            )
-            return Result(code, out.getvalue().decode(), err.getvalue().decode())
+        words = [*shlex.split(line), *map(str, more)]
+        code, out, err = run_here(words, cwd=folder, env=clean_environment() | environment)
+        allowed = getattr(command_of(shlex.split(line)), "exit_codes", {0, 1, 2, 3})
+        assert code in allowed, (line, code, "not in --help")
+        return Result(code, out, err)
 
     return run
 
@@ -164,6 +133,22 @@ def pqsec(run_in, tmp_path) -> Run:
         return run_in(tmp_path, line, *more, **environment)
 
     return run
+
+
+@pytest.fixture
+def run_copy(run_in, tmp_path) -> Callable[[Path], Run]:
+    """run_copy(made) copies the folder, whose keystore is `k`; run(line) runs pqsec in the copy."""
+
+    def copied(made: Path) -> Run:
+        folder = shutil.copytree(made, tmp_path / "work", symlinks=True)
+
+        def run(line: str, *more: object, **environment: str) -> Result:
+            return run_in(folder, line, *more, PQSEC_KEYSTORE="k", **environment)
+
+        run.folder = folder
+        return run
+
+    return copied
 
 
 @pytest.fixture
@@ -238,14 +223,18 @@ def extension_site(tmp_path_factory) -> Path:
 
 @pytest.fixture(scope="session")
 def extension(extension_site) -> Run:
-    """extension(folder, "check robots") runs it where examples/extension is installed."""
+    """extension(folder, "check robots") runs it where examples/extension is installed.
+
+    Some are measured, for coverage: nothing else runs what loads such a package.
+    """
     path = os.pathsep.join([*sys.path, str(extension_site)])
 
-    def run(folder: Path, line: str) -> Result:
+    def run(folder: Path, line: str, *, measured: bool = False) -> Result:
+        more = measured_too() if measured else {}
         done = subprocess.run(
             [sys.executable, "-m", "pqsec_pki", *shlex.split(line)],
             cwd=folder,
-            env=clean_environment(PYTHONPATH=path),
+            env=clean_environment(PYTHONPATH=path, **more),
             capture_output=True,
             text=True,
             check=False,

@@ -1,7 +1,6 @@
 """Plans that are proposed, approved and applied, as people type it."""
 
 import json
-import shutil
 
 import pytest
 
@@ -26,15 +25,8 @@ def made(run_in, tmp_path_factory):
 
 
 @pytest.fixture
-def run(run_in, made, tmp_path):
-    """run(line) runs pqsec in a copy of that folder."""
-    folder = shutil.copytree(made, tmp_path / "work", symlinks=True)
-
-    def run(line, *more, **environment):
-        return run_in(folder, line, *more, PQSEC_KEYSTORE="k", **environment)
-
-    run.folder = folder
-    return run
+def run(run_copy, made):
+    return run_copy(made)
 
 
 def propose(run):
@@ -91,7 +83,7 @@ def test_without_a_terminal_a_plan_is_shown_and_not_approved(run):
     assert "domain file: domain.yaml, as it is here" in shown.out
     assert not (run.folder / "plan.json.carol.approval").exists()
     (run.folder / "domain.yaml").write_text(DOMAIN)
-    assert "which is ANOTHER here" in run("approve plan.json --key carol.pem").out
+    assert "which DIFFERS here" in run("approve plan.json --key carol.pem").out
     (run.folder / "domain.yaml").unlink()
     assert "which is not here" in run("approve plan.json --key carol.pem").out
 

@@ -50,6 +50,13 @@ def test_the_second_version_is_measured_where_there_is_one(pqsec):
     assert other < 0.72 * one
 
 
+def test_both_versions_are_measured_together(pqsec):
+    line = "bench --rounds 1 --warm-up 0 --profile pq --profile classical"
+    _, *rows = pqsec(f"{line} --wire-version 1 --wire-version 2").done().out.splitlines()
+    versions = [(words[0], words[3]) for words in map(str.split, rows[:3])]
+    assert versions == [("pq", "1"), ("pq", "2"), ("classical", "1")]
+
+
 @pytest.fixture
 def interrupted(monkeypatch):
     """interrupted(n): Ctrl-C comes in the n-th round."""
@@ -104,6 +111,13 @@ def test_what_cannot_be_measured_is_refused(pqsec):
         ("bench --stack cyclonedds --kem mlkem768", "--kem is for handshakes in memory"),
         ("bench --stack cyclonedds --all", "--all is for handshakes in memory"),
         ("bench --stack cyclonedds --warm-up 0", "--warm-up is for handshakes in memory"),
+        ("bench --stack cyclonedds --wire-version 3", "--wire-version"),
+        ("bench --stack cyclonedds --plugins stock --wire-version 2", "know version 1 only"),
+        ("bench --stack cyclonedds --plugins none --wire-version 2", "know version 1 only"),
+        (
+            "bench --stack cyclonedds --profile classical --wire-version 2",
+            "messages of profile classical have only version 1",
+        ),
         ("bench --stack cyclonedds --hosts 1", "--hosts"),
         ("bench --stack cyclonedds --hosts 201", "--hosts"),
         ("bench --stack cyclonedds --loss 51%", "not a loss from 0% to 50%"),

@@ -7,7 +7,7 @@ from lxml import etree
 
 from pqsec_pki.handshake import MAX_SAMPLE
 
-FLEET = "estimate --participants 20 --profile pq --loss 2%"
+FLEET = "estimate --participants 4 --profile pq --loss 2%"
 
 
 @pytest.mark.parametrize(("given", "said"), [("2%", "2%"), ("5", "5%"), ("0.05", "0.05%")])
@@ -18,7 +18,7 @@ def test_a_loss_is_printed_as_it_is_given(pqsec, given, said):
 
 def test_the_table_has_both_models_and_the_range(pqsec):
     out = pqsec(FLEET).done().out
-    assert "handshakes      190" in out
+    assert "handshakes      6" in out
     assert "closed form  simulation" in out
     assert "valid for" in out
 
@@ -55,12 +55,37 @@ def test_costs_are_those_of_bench(pqsec, tmp_path):
     for text in (
         *("[]", '{"suites": [1]}', "[" * 100_000, '{"suites": []}'),
         *(
-            f'{{"suites": [{{"profile": "pq", "cpu_ms": {sides % each}}}]}}'
+            f'{{"suites": [{{"profile": "pq", "wire_version": 1, "cpu_ms": {sides % each}}}]}}'
             for each in ("9" * 400, "1e308", "1e7", "NaN", "-1")
         ),
     ):
         bench.write_text(text)
         assert "not the JSON of `pqsec bench`" in pqsec(f"{FLEET} --costs {bench}").err
+
+
+def test_the_second_version_takes_fewer_frames_and_is_advised_where_frames_get_lost(
+    pqsec, tmp_path
+):
+    lossy = "estimate --participants 4 --profile pq --loss 10%"
+    first, second = (pqsec(f"{lossy} --wire-version {each} --json").done().json for each in (1, 2))
+    assert (second["wire_version"], second["frames"]) == (
+        2,
+        {"request": 9, "reply": 12, "final": 3},
+    )
+    assert second["closed_form"]["mesh_median_s"] < 0.8 * first["closed_form"]["mesh_median_s"]
+    assert second["costs"]["responder"] > first["costs"]["responder"]
+    assert "messages of version 2 (wire_versions = [2, 1]" in str(first["advice"])
+    assert "messages of version 2" not in str(second["advice"])
+    classical = "estimate --participants 4 --profile classical --loss 10%"
+    assert "messages of version 2" not in pqsec(classical).done().out
+    pqsec(f"{classical} --wire-version 2").refused(2, "have only version 1")
+    store = tmp_path / "k"
+    pqsec(f"ca init -k {store} --no-passphrase --profile pq").done()
+    pqsec(f"issue -k {store} --publish a /one /two").done()
+    own, other = (
+        pqsec(f"estimate -k {store} --wire-version {each} --json").done().json for each in (1, 2)
+    )
+    assert other["sample_bytes"]["reply"] < 0.75 * own["sample_bytes"]["reply"]
 
 
 def test_the_plot_is_svg_and_stays_without_force(pqsec, tmp_path):

@@ -4,6 +4,7 @@ test_signers.py uses its signer.
 """
 
 import json
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ WARNING = "written by code of the package pqsec-lab 1.0, not of pqsec, which did
 @pytest.fixture
 def lab(extension, tmp_path):
     """A command in a process of its own, which loads all that the package adds."""
-    return lambda line: extension(tmp_path, line)
+    return partial(extension, tmp_path)
 
 
 @pytest.fixture
@@ -39,7 +40,7 @@ def test_its_rule_finds_what_it_is_for(lab):
     assert {Path(each).parent.name for each in of_lab} == {"talker", "listener"}
     assert lab("check robots --ignore PQS707=demo --strict").code == 1
     lab("check robots --ignore PQS707=demo --ignore LAB001=demo --strict").done()
-    explained = lab("check --explain LAB001").done().out
+    explained = lab("check --explain LAB001", measured=True).done().out
     assert explained.startswith("LAB001 (warning, lab): a participant's")
     [log] = json.loads(lab("check robots --sarif").out)["runs"]
     assert "LAB001" in {each["id"] for each in log["tool"]["driver"]["rules"]}
@@ -95,7 +96,7 @@ def test_a_passphrase_that_its_stack_writes_is_for_its_owner_only(here, keystore
 
 def test_its_key_agreement_protects_a_handshake(lab):
     lab("-k k ca init --no-passphrase --profile pq --kem lab-kem").done()
-    done = lab("-k k issue /a /b --publish t --subscribe t").done()
+    done = lab("-k k issue /a /b --publish t --subscribe t", measured=True).done()
     assert "the key agreement lab-kem is code of the package pqsec-lab 1.0" in done.err
     told = lab("-k k verify-handshake /a /b --json").done().json
     assert told["key_agreement"] == "LabP384MLKEM768"

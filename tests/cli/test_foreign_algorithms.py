@@ -92,6 +92,32 @@ def test_a_keystore_with_both_works_and_each_process_warns_once(run):
     assert (told["signature"], told["key_agreement"]) == ("LabSig", "LabKEM")
 
 
+TOGETHER = """
+import sys, warnings
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from pqsec_pki.algorithms import SIGNATURES, load_private_key, private_key_pem
+warnings.simplefilter("ignore")
+sys.setswitchinterval(1e-6)
+start, names = Barrier(4), ["lab-sig", "lab-sig", "lab-sig", "mldsa44+ed25519"]
+def ask(name):
+    start.wait()
+    row = SIGNATURES.named(name)
+    assert load_private_key(private_key_pem(row.generate())).algorithm is row
+    return id(row)
+with ThreadPoolExecutor(4) as pool:
+    print(len(set(pool.map(ask, names))))
+"""
+
+
+def test_threads_that_ask_for_the_same_one_at_once_get_it(installed):
+    """All but the first were told that its package would replace it, by itself."""
+    done = subprocess.run(
+        [sys.executable, "-c", TOGETHER], env=installed, capture_output=True, text=True, check=False
+    )
+    assert done.stdout == "2\n", done.stderr
+
+
 def test_a_broken_one_is_an_error_that_names_the_package(run):
     done = run("-k k ca init --no-passphrase --profile pq --kem mlkem768x", 3)
     assert "the package lab-algorithms 1.2 cannot add 'mlkem768x'" in done.stderr

@@ -61,6 +61,7 @@ FILES = {
     "node.log": "Subject name is invalid(code: 146)\n",
     "quiet.log": "nothing of interest\n",
     "domain.log": (RECORDED / "kitchen.log").read_text(),
+    "monitor.json": (RECORDED / "monitor.json").read_text(),
     "monday.txt": (RECORDED / "nodes.txt").read_text(),
     "tuesday.txt": (RECORDED / "nodes.txt").read_text(),
 }

@@ -50,6 +50,9 @@ JUSTIFIED = {
     "an order enrols new names only; `pqsec issue --csr --force` replaces certificate and"
     " permissions": SAYS_WHAT,
     "enrol into another --dir; --force replaces what is installed here": SAYS_WHAT,
+    "it is never answered: `pqsec enrol --force` makes a new one, with the same options": (
+        "the server has refused what would be lost"
+    ),
     "--force, --after-revocation and --reuse-compromised-key are for other requests": (
         "it tells nobody to use it"
     ),

@@ -180,7 +180,7 @@ MEANINGLESS = {
     "enrol https://a": "no participant is named",
     "enrol https://a --name /x": "nothing says which server is trusted",
     "enrol http://a --name /x": "not the URL of a server",
-    "enrol https://a --name /x --server-pin zz": "is not SHA-256 in hex",
+    "enrol https://a --name /x --server-pin zz": "is not a SHA-256 in hex",
     f"enrol https://a --name /x --server-pin {'0' * 64} --factory-cert k/pqsec.json": "need each",
     f"enrol https://a --name /x --server-ca k/pqsec.json --server-pin {'0' * 64}": "exclude",
     "enrol https://b --token-file robot1.token": "the token is for https://127.0.0.1",

@@ -1,7 +1,6 @@
 """One command that is proposed, approved and run, as people type it."""
 
 import json
-import shutil
 from datetime import UTC, datetime
 
 import pytest
@@ -33,15 +32,8 @@ def made(run_in, tmp_path_factory):
 
 
 @pytest.fixture
-def run(run_in, made, tmp_path):
-    """run(line) runs pqsec in a copy of that folder."""
-    folder = shutil.copytree(made, tmp_path / "work", symlinks=True)
-
-    def run(line, *more, **environment):
-        return run_in(folder, line, *more, PQSEC_KEYSTORE="k", **environment)
-
-    run.folder = folder
-    return run
+def run(run_copy, made):
+    return run_copy(made)
 
 
 def approve(run, name="bob"):
@@ -136,6 +128,30 @@ def test_approvers_see_the_rights_that_a_sign_request_wishes(run):
     assert "  granted: publish 'rt/pose'" in told.out
 
 
+def test_approvers_see_the_rights_of_the_roles_that_an_authority_may_give(run):
+    """They saw the names of the roles, and the SHA-256 of a file that they may not have."""
+    grant = "ra add line1 --key line1.pub.pem --allow-name /line/* --role robot --max-count 2"
+    told = run(f"{PROPOSE} {grant} --validity 9d").done()
+    for words in ("role robot:", "granted: publish 'rt/NAME/pose'", "subscribe 'rt/cmd'"):
+        assert words in told.out
+    text = (run.folder / "domain.yaml").read_text()
+    (run.folder / "domain.yaml").write_text(text.replace("rt/cmd", "'*'"))
+    told = run(f"{PROPOSE} --force {grant} --validity 9d").done()
+    assert "granted: subscribe every topic" in told.out
+    run(f"{PROPOSE} --force {grant} --role chief --validity 9d").refused(2, "has no role chief")
+
+
+def test_approvers_see_what_a_document_changes(run):
+    signed = run("permissions read k/enclaves/r1/permissions.p7s").done().out
+    (run.folder / "p.yaml").write_text(signed.replace("rt/r1/pose", "rt/stop"))
+    told, done = decide(run, "sign-permissions p.yaml")
+    assert "  granted: publish 'rt/stop' on domain 0\n" in told.out
+    done.done()
+    run("governance new --preset migration --domain 0 -o g.yaml").done()
+    told = run(f"{PROPOSE} --force sign-governance g.yaml").done()
+    assert "weaker: " in told.out
+
+
 def test_rights_that_cannot_be_compared_wholly_are_approved_by_their_hash(monkeypatch):
     """Two policies with one file included had the same words, if the words were not all."""
     monkeypatch.setattr(_witnesses, "MAX_WORK", 0)
@@ -172,28 +188,26 @@ MORE = """<profile ns="/" node="new">
 <topics publish="ALLOW"><topic>pose</topic></topics></profile>"""
 
 
+def approved_with_more(run, command):
+    """The command is approved with the file that its policy includes, and run with no other."""
+    more = run.folder / "more.xml"
+    more.write_text(MORE)
+    assert "  granted: publish 'rt/pose'" in run(f"{PROPOSE} {command}").done().out
+    approve(run)
+    more.write_text(MORE.replace("pose", "stop"))
+    run("apply plan.json --yes").refused(1, "what the command changes is not what was approved")
+    more.write_text(MORE)
+    run("apply plan.json --yes").done()
+
+
 def test_a_file_that_a_policy_includes_is_approved_too(run):
     (run.folder / "policy.xml").write_text(POLICY)
-    (run.folder / "more.xml").write_text(MORE)
-    told = run(f"{PROPOSE} issue --policy policy.xml /new").done()
-    assert "  granted: publish 'rt/pose'" in told.out
-    approve(run)
-    (run.folder / "more.xml").write_text(MORE.replace("pose", "stop"))
-    run("apply plan.json --yes").refused(1, "what the command changes is not what was approved")
-    (run.folder / "more.xml").write_text(MORE)
-    run("apply plan.json --yes").done()
+    approved_with_more(run, "issue --policy policy.xml /new")
 
 
 def test_what_a_policy_adds_is_approved_with_the_files_that_it_includes(run):
     (run.folder / "policy.xml").write_text(POLICY.replace('"/new"', '"/r1"'))
-    (run.folder / "more.xml").write_text(MORE)
-    told = run(f"{PROPOSE} permit --policy policy.xml").done()
-    assert "  granted: publish 'rt/pose'" in told.out
-    approve(run)
-    (run.folder / "more.xml").write_text(MORE.replace("pose", "stop"))
-    run("apply plan.json --yes").refused(1, "what the command changes is not what was approved")
-    (run.folder / "more.xml").write_text(MORE)
-    run("apply plan.json --yes").done()
+    approved_with_more(run, "permit --policy policy.xml")
     run("explain /r1 --ros-publish /pose").done()
 
 

@@ -102,7 +102,7 @@ def test_mistakes_are_named(pqsec, lab):
         pqsec(f"{ORDER} {option}").refused(2, f"{option.split()[0]} cannot be ordered")
     lone = ORDER.replace("--key line1.pem ", "")
     pqsec(lone).refused(2, "--grant and --key belong together")
-    pqsec(f"{ORDER} --validity 1y").refused(2, "365d, and the grant allows 90d")
+    pqsec(f"{ORDER} --validity 1y").refused(2, "365 days were ordered, and 90 days at most")
     elsewhere = ADD.replace("line1", "other").replace("/fleet", "/hall")
     pqsec(elsewhere).done()
     pqsec(ORDER.replace("line1", "other")).refused(2, "/fleet/r1: the grant is for /hall/*")

@@ -13,6 +13,7 @@ if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
 from pqsec_pki.lint import RULES, Rule, Severity  # noqa: E402 -- after the path
+from tests.docs.rows import row as _row  # noqa: E402
 from tests.docs.stack_differences import HABITS, Habit  # noqa: E402
 
 PAGE = ROOT / "docs/reference/rules.md"
@@ -118,10 +119,6 @@ def _habit(habit: Habit) -> str:
 
 def _ids(ids: Iterable[str]) -> str:
     return ", ".join(ids)
-
-
-def _row(cells: Iterable[str]) -> str:
-    return f"| {' | '.join(cell.replace('|', chr(92) + '|') for cell in cells)} |"
 
 
 def _wrapped(text: str) -> str:

@@ -10,7 +10,7 @@ import json
 import re
 import tempfile
 from contextlib import suppress
-from functools import cache, lru_cache
+from functools import cache, lru_cache, partial
 from http.client import HTTPResponse
 from io import BytesIO
 from pathlib import Path
@@ -38,6 +38,8 @@ from pqsec_pki.est import (
     TlsIdentity,
     client_context,
     from_base64,
+    peer_certificate,
+    peer_chain,
     server_context,
     verify_est_request,
 )
@@ -46,11 +48,11 @@ from pqsec_pki.est.linking import channel_binding
 from pqsec_pki.server.call import CallKind, SignerCall, packed, unpacked
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.channel import Channels
-from pqsec_pki.server.configuration import ServerLimits
+from pqsec_pki.server.configuration import EnrolmentPolicy, ServerLimits
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.token_lines import record_token
-from pqsec_pki.server.waiting import PendingRequests
+from pqsec_pki.server.waiting import WaitingRequests
 from tests.fuzz import mutation
 from tests.some_keys import some_key
 from tests.unit.keystores import DAY, NOW
@@ -104,11 +106,17 @@ class World:
 
     def answer(self, call):
         """What the signer answers; AssertionError if it fails, or issues something."""
-        [answer] = self.handler.answers([call])
-        assert answer.status != FAILED, answer
-        if call.kind.issues and answer.status == 200:
-            assert answer.note.endswith(", again"), answer
+        [answer] = self.answers([call])
         return answer
+
+    def answers(self, calls):
+        """Likewise, to calls that come at once: the ledger is read and verified once for them."""
+        answers = self.handler.answers(calls)
+        for call, answer in zip(calls, answers, strict=True):
+            assert answer.status != FAILED, answer
+            if call.kind.issues and answer.status == 200:
+                assert answer.note.endswith(", again"), answer
+        return answers
 
 
 def _handler(folder):
@@ -116,8 +124,9 @@ def _handler(folder):
     domain.write_text(DOMAIN.format(profile=PROFILE))
     desired = read_domain(domain)
     keystore = create_keystore(desired, folder / "k", passphrase=None, now=NOW)
-    pending = PendingRequests(folder / "waiting", 10)
-    return CallHandler(keystore, keystore.unlock(None), desired, lambda: NOW, pending, anybody=True)
+    waiting = WaitingRequests(folder / "waiting", 10)
+    policy = EnrolmentPolicy(approval=True)
+    return CallHandler(keystore, keystore.unlock(None), desired, lambda: NOW, waiting, policy)
 
 
 def _token(keystore):
@@ -234,14 +243,19 @@ def challenged(connection):
 def take_est(data):
     here = world()
     found = CertificateRequest.from_der(from_base64(data))
-    told = [found.challenge_password, name_asked_for(found)]
     for renews in (False, True):
         with suppress(VerificationError):
             verify_est_request(found, here.connection, renews=renews)
-        kind = CallKind.REENROL if renews else CallKind.ENROL
-        options = here.shown if renews else here.secret
-        told.append(here.answer(here.asking(kind, found.der, **options)).status)
-    return told
+    return found.challenge_password, name_asked_for(found), _est_statuses(found.der)
+
+
+@lru_cache(maxsize=1000)
+def _est_statuses(der):
+    """Of the answers to who shows a token, and to who shows a certificate."""
+    here = world()
+    asked = (CallKind.ENROL, here.secret), (CallKind.REENROL, here.shown)
+    calls = [here.asking(kind, der, **options) for kind, options in asked]
+    return [each.status for each in here.answers(calls)]
 
 
 def spoilt_est(data, rng, spoil):
@@ -312,6 +326,16 @@ class Wire(StringTransport):
         return world().bare if self.signs else world().connection
 
 
+# What the client showed in TLS is the same for each input.
+_chain = cache(peer_chain)
+
+
+@cache
+def _peer(connection):
+    found = peer_certificate(connection)
+    return found.der if found else b""
+
+
 def take_http(data):
     limits = ServerLimits(requests_of_address=ENOUGH)
     connections, front = Connections(limits), Front(Direct(), limits, json.dumps)
@@ -328,6 +352,8 @@ def take_http(data):
     peer = IPv4Address("TCP", HOST, 1)
     channel, wire = factory.buildProtocol(peer), Wire(peerAddress=peer)
     wire.signs = SCHEME.encode() in data
+    connection = wire.getHandle()
+    channel.peer, channel.peer_chain = partial(_peer, connection), partial(_chain, connection)
     channel.makeConnection(wire)
     for part in (data[: len(data) // 2], data[len(data) // 2 :]):
         if not wire.disconnecting:

@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 
 from tests.install.containerfile import Builder, Image, read, start
+from tests.ports import free_port
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "packaging/container/Containerfile").read_text()
@@ -118,9 +119,7 @@ def test_the_agent_is_built_and_answers_whoever_shares_its_folder(builder):
 @pytest.mark.timeout(1800)
 def test_the_server_is_built_and_listens(builder):
     image = builder.build("server")
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        port = taken.getsockname()[1]
+    port = free_port()
     image.environment["PQSEC_KEYSTORE"] = "/var/lib/pqsec/robots"
     (image.root / "var/lib/pqsec/domain.yaml").write_text(
         "name: Robots\nvalidity: 90d\nroles:\n  robot: {publish: [rt/pose]}\n"

@@ -31,6 +31,7 @@ from tests.interop.nodes import Nodes, compiled
 from tests.interop.roots import ROOTS
 from tests.interop.ros2 import Ros2
 from tests.interop.tokens import SOFTHSM, SPY, Token
+from tests.postgres import PROGRAMS, Cluster
 
 YEAR = timedelta(days=365)
 DOMAINS = DomainSet.of(DomainRange(first=0, last=10))
@@ -169,6 +170,14 @@ def plugins(requires) -> Path:
     """The folder of Cyclone DDS's security plugins."""
     remedy = "apt-get install libddsc0debian"
     return requires(find_plugins(), "Cyclone DDS's security plugins", remedy)
+
+
+@pytest.fixture(scope="session")
+def cluster(requires) -> Iterator[Cluster]:
+    """A PostgreSQL server, for tests with a database each."""
+    requires(PROGRAMS, "PostgreSQL", "apt-get install postgresql")
+    with Cluster.created() as made:
+        yield made
 
 
 @pytest.fixture(scope="session")

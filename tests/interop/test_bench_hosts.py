@@ -56,6 +56,17 @@ def test_three_hosts_meet_where_frames_get_lost(stack):
     assert run["samples_lost"] is not None
 
 
+def test_hosts_send_the_version_of_messages_that_is_asked_for(stack):
+    """Of the same participants, the second has fewer bytes; what knows one version has that."""
+    words = ["--stack", stack, "--profile", "pq", "--rounds", "2", "--samples", "0", "--json"]
+    done = bench(*words, "--wire-version", "1", "--wire-version", "2")
+    assert done.returncode == 0, done.stderr
+    runs = json.loads(done.stdout)["runs"]
+    assert [(each["wire_version"], each["complete"]) for each in runs] == [(1, 2), (2, 2)] * 2
+    first, second = (min(each["frame_bytes"] for each in runs[start::2]) for start in (0, 1))
+    assert first - second > 8_000  # 13 kB of messages; a busy machine may repeat others
+
+
 def test_without_security_and_without_loss_there_is_no_handshake(stack):
     done = bench("--stack", stack, "--plugins", "none", "--rounds", "2", "--format", "csv")
     rows = list(csv.DictReader(StringIO(done.stdout)))

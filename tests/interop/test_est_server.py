@@ -13,7 +13,8 @@ from pqsec_pki.algorithms import SIGNATURES, private_key_pem
 from pqsec_pki.certificates import Certificate, certificate_request
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.est import EST, PKCS10, EstClient, ServerTrust, TlsIdentity, from_base64, to_base64
-from tests.unit.serving import HOST, PATIENCE, free_port
+from tests.ports import free_port
+from tests.unit.serving import HOST, PATIENCE
 from tests.unit.tls_sides import certificate
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(120)]

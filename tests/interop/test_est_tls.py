@@ -9,14 +9,10 @@ import pytest
 
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.est import EstClient, ServerTrust
+from tests.ports import free_port
 from tests.unit.tls_sides import HOST, certificate, identity, pin
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(120)]
-
-
-def free_port():
-    with socket.create_server((HOST, 0)) as found:
-        return found.getsockname()[1]
 
 
 @contextmanager

@@ -1,9 +1,9 @@
 """Ledgers in a PostgreSQL server of Debian: two machines, kills, cuts, rights, and moves."""
 
+import os
 import shutil
 import subprocess
 import sys
-from collections.abc import Iterator
 
 import pytest
 
@@ -14,6 +14,7 @@ from pqsec_pki.keystore import (
     State,
     _postgres,
     _postgres_schema,
+    _shared,
     audit,
     checked_head,
     schema_sql,
@@ -30,17 +31,11 @@ from pqsec_pki.lifecycle import (
 )
 from tests.interop.cut import Cutter
 from tests.interop.shared_ledger import check_whole, copied, create, issue_to, settled
-from tests.postgres import PROGRAMS, WRITER, Cluster
+from tests.postgres import WRITER
 from tests.unit.killing import NOW, YEAR, disturbed_calls, survives
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
-
-
-@pytest.fixture(scope="session")
-def cluster(requires) -> Iterator[Cluster]:
-    requires(PROGRAMS, "PostgreSQL", "apt-get install postgresql")
-    with Cluster.created() as made:
-        yield made
+_END = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'pqsec'"
 
 
 @pytest.fixture
@@ -152,6 +147,53 @@ def test_a_command_waits_for_the_lock_and_then_says_who_has_it(first, second, mo
     with first.hold():
         issue_to(first.root, "/carol")
     check_whole(first, second)
+
+
+def spare(keystore):
+    """The connection that is kept for the next hold."""
+    return _shared._connections.spare.get((os.getpid(), keystore.root))
+
+
+def test_a_connection_stays_open_between_two_holds_and_the_lock_does_not(first, second):
+    with first.hold(keep_connection=True):
+        issue_to(first.root, "/bob")
+    kept = spare(first)
+    issue_to(second.root, "/carol")
+    with first.hold(keep_connection=True):
+        assert len(first.lines()) == len(second.lines())
+        issue_to(first.root, "/dave")
+    assert spare(first) is kept
+    check_whole(first, second)
+
+
+@pytest.mark.parametrize("lost", [True, False], ids=["ended", "too old"])
+def test_a_connection_is_made_anew(first, cluster, database, monkeypatch, lost):
+    with first.hold(keep_connection=True):
+        kept = issue_to(first.root, "/bob") and spare(first)
+    if lost:
+        cluster.sql(_END, database)
+    else:
+        monkeypatch.setattr(_postgres, "_LONGEST", -1.0)
+    with first.hold(keep_connection=True):
+        issue_to(first.root, "/carol")
+    assert spare(first) is not kept
+    check_whole(first)
+
+
+def test_a_kept_connection_does_not_serve_a_ledger_of_another_version(first, cluster, database):
+    with first.hold(keep_connection=True):
+        issue_to(first.root, "/bob")
+    cluster.sql("INSERT INTO pqsec.format VALUES (99)", database)
+    with pytest.raises(KeystoreError, match="version"), first.hold(keep_connection=True):
+        issue_to(first.root, "/carol")
+    assert not first.has("/carol")
+
+
+def test_after_an_error_no_lock_and_no_connection_is_kept(first, second):
+    with pytest.raises(ZeroDivisionError), first.hold(keep_connection=True):
+        1 / 0  # noqa: B018
+    assert spare(first) is None
+    issue_to(second.root, "/bob")
 
 
 def test_the_address_in_a_keystore_that_others_write_is_not_followed(first):

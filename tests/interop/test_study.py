@@ -26,17 +26,27 @@ def test_the_small_matrix_ends_with_tables_and_plots(stack, requires, tmp_path):
         refuse_without_hosts()
     requires(found, f"{stack} to compile against, and root", "see `pqsec bench --help`")
     words = [sys.executable, STUDY, tmp_path, "--small", "--stack", stack, "--rounds", "1"]
-    for rounds in (1, 2):  # a second time adds a round
-        done = subprocess.run(
-            [*words, "--part", "pairs"], capture_output=True, text=True, check=False
-        )
+    for part, rounds in (("pairs", 1), ("pairs", 2), ("versions", 1)):  # a second time adds a round
+        done = subprocess.run([*words, "--part", part], capture_output=True, text=True, check=False)
         assert done.returncode == 0, done.stderr
-        with gzip.open(tmp_path / f"pairs-{stack}.csv.gz", "rt") as file:
+        with gzip.open(tmp_path / f"{part}-{stack}.csv.gz", "rt") as file:
             rows = list(csv.DictReader(file))
         assert len([row for row in rows if row["measure"] == "full_s"]) == 4 * rounds
         assert len([row for row in rows if row["measure"] == "environment.cores"]) == 1
-    assert f"## Two hosts, {NAMES[stack]}, MTU 1500" in (tmp_path / "tables.md").read_text()
+    text = (tmp_path / "tables.md").read_text()
+    assert f"## Two hosts, {NAMES[stack]}, MTU 1500" in text
+    assert f"## Both versions of the messages, {NAMES[stack]}, MTU 1500" in text
+    assert "| pq, version 2 |" in text
     assert (tmp_path / "pairs-meetings.svg").exists()
+
+
+def test_results_with_other_columns_are_refused(tmp_path):
+    """Rows of another version of pqsec would stand below wrong names."""
+    with gzip.open(tmp_path / "pairs-cyclonedds.csv.gz", "wt") as file:
+        file.write("stack,version,run,measure,value\n")
+    words = [sys.executable, STUDY, tmp_path, "--stack", "cyclonedds", "--part", "pairs"]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode, "was made by another version" in done.stderr) == (1, True), done
 
 
 def test_the_interval_of_a_median_has_its_coverage():

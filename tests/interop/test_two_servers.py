@@ -14,7 +14,6 @@ from pqsec_pki.est import EstClient, KeyTerms, KnownServer, ServerTrust, enrol, 
 from pqsec_pki.keystore import Keystore, audit
 from pqsec_pki.lifecycle import revoke
 from tests.interop.balancing import HOST, balancer
-from tests.postgres import PROGRAMS, Cluster
 from tests.unit.serving import Robot, Server
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(600)]
@@ -24,13 +23,6 @@ PATIENCE = 300
 
 def clock():
     return datetime.now(UTC)
-
-
-@pytest.fixture(scope="module")
-def cluster(requires):
-    requires(PROGRAMS, "PostgreSQL", "apt-get install postgresql")
-    with Cluster.created() as made:
-        yield made
 
 
 @contextmanager
@@ -111,7 +103,7 @@ def test_files_of_another_machine_that_are_not_those_of_the_line_are_not_used(
     reply = fetched(second, held)
     assert (reply.status, reply.detail) == (
         421,
-        "this server has not the newest files of /other: ask another",
+        "this server does not have the newest files of /other: ask another",
     )
     assert not second.keystore.has("/other")
     assert fetched(first, held).status == 200

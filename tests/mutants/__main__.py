@@ -71,6 +71,19 @@ TESTS = {
     ),
     "approvals": ("approvals",),
     "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
+    "server": (
+        "serve_admission",
+        "serve_decisions",
+        "serve_calls",
+        "serve_expired",
+        "serve_waiting",
+        "serve_work",
+        "serve",
+        "serve_approvals",
+        "serve_factories",
+        "serve_hostile",
+        "serve_signed",
+    ),
 }
 """For each room the files of tests for it: test_*.py in tests/unit, or a path in tests."""
 

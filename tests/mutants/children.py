@@ -24,7 +24,7 @@ from pathlib import Path
 
 from coverage import CoverageData
 
-from tests.mutants.conditions import PACKAGE, Mutant
+from tests.mutants.conditions import PACKAGE, PARTS, Mutant
 
 COPIED = (PACKAGE, "tests", "schemas", "templates", "docs", "examples", "pyproject.toml")
 WARM = (
@@ -63,13 +63,15 @@ class _Recorder:
 
     def _heard(self, event: str, arguments: tuple) -> None:
         if event == "subprocess.Popen" and sys.executable in str(arguments[1]):
-            self.starting.add(os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")[0])
+            test, _, phase = os.environ.get("PYTEST_CURRENT_TEST", "").rpartition(" ")
+            self.starting.add(test.partition("::")[0] if phase == "(setup)" else test)
 
     def pytest_collection_finish(self) -> None:
         """Rooms load on demand: what runs at import must not look as if one test ran it."""
         for each in pkgutil.walk_packages(importlib.import_module(PACKAGE).__path__, f"{PACKAGE}."):
             if not each.name.endswith("__main__"):
-                importlib.import_module(each.name)
+                with suppress(ModuleNotFoundError):  # those of ROS 2 are not there
+                    importlib.import_module(each.name)
 
     def pytest_runtest_logreport(self, report) -> None:
         self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
@@ -189,7 +191,8 @@ class Copy:
         own += ["--basetemp", "tmp"]  # where others run tests too, each clears up what is in /tmp
         code = pytest.main([*own, *options, *tests], plugins=[recorder])
         sys.stdout.flush()
-        starting = sorted(recorder.starting & set(recorder.seconds))
+        found = recorder.starting  # tests, or files whose fixtures start it
+        starting = [each for each in recorder.seconds if {each, each.partition("::")[0]} & found]
         answer = Ran(int(code), recorder.failed, recorder.seconds, starting)
         self._answer.write_text(json.dumps(asdict(answer)))
         os._exit(0)
@@ -247,7 +250,8 @@ class Measured:
         found = {test for line in range(first, last + 1) for test in lines.get(line, ())}
         if not found and any(line in lines for line in range(first, last + 1)):
             found = set(self.seconds)  # it runs when the module is imported
-        found = found or set(self.starting)
+        if not found or mutant.room in PARTS:  # it runs in processes of tests too
+            found |= set(self.starting)
         seconds: dict[str, float] = {}
         for test in found:
             file = test.partition("::")[0]

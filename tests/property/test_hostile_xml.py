@@ -5,6 +5,7 @@ MAX_MEMORY; the time counted is the processor's.
 """
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -197,7 +198,7 @@ def met(reader, folder):
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=folder,
-        env={"PYTHONPATH": str(root)},
+        env={"PYTHONPATH": str(root), "PQSEC_LONG": os.environ.get("PQSEC_LONG", "")},
         capture_output=True,
         text=True,
         check=False,

@@ -9,11 +9,13 @@ from hypothesis import HealthCheck, Phase, assume, given, settings
 from hypothesis import strategies as st
 
 from pqsec_pki.documents import DomainSet, Grant, Permissions
-from pqsec_pki.lint._plain import MAX_PLAIN, NEVER_IN_PLAIN, PLAIN
+from pqsec_pki.documents._plain import MAX_PLAIN
+from pqsec_pki.lint._plain import NEVER_IN_PLAIN
 from pqsec_pki.lint.document import Documents, ParsedText, PermissionsFile, PlainPermissions
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.table import RULES
 from tests.longer import examples
+from tests.property.plain_texts import SHORT
 from tests.unit.keystores import DAY, NOW
 
 
@@ -46,10 +48,6 @@ def permissions(publish=("rt/chatter",)):
             ),
         )
     ).to_xml()
-
-
-SHORT = re.compile(re.sub(rb"\)\+", b"){1,3}", PLAIN.pattern))
-"""With at most three domains, and topics for publishing and for subscribing."""
 
 
 @settings(

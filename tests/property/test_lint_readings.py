@@ -24,6 +24,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.lint import check
 from pqsec_pki.stacks import Stack
 from tests.docs.stack_differences import HABITS
+from tests.longer import LONG
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -32,8 +33,7 @@ TOPICS = ("a", "ab", "rt/a")
 PATTERNS = (*TOPICS, "a*", "rt/*", "[ab]", "r?/a")
 DOMAINS = (DomainSet.of(0), DomainSet.of(DomainRange(first=0, last=9)))
 PARTITIONS = ((), ("P",), ("Q",), ("P*",), ("*",))
-POLICIES = 150
-ENOUGH = 20
+POLICIES, ENOUGH = (150, 20) if LONG else (60, 5)
 [MODEL] = Governance.protected(DOMAINS[1]).domain_rules
 [CLOSED] = MODEL.topic_rules
 

@@ -108,7 +108,7 @@ FILES = {
 }
 READER_ONLY = {
     "domain": "no participant of the file is|no such file|is a directory|there are no roles"
-    "|role: '.*' is not allowed|approvals of 2 approvers cannot be had",
+    "|role: '.*' is not allowed|approvals of 2 approvers are not possible",
     "permissions": "is not a full ROS 2 name",
     "plugin": "no key agreement named",
 }

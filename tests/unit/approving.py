@@ -44,6 +44,12 @@ class Council(Scene):
             self.keys = {name: make_key(folder, name) for name in (*PEOPLE, "mallory")}
             self.apply()
 
+    def copied(self, folder):
+        """The same again in another folder, with the keys of the same people."""
+        made = self.copy(self, folder)
+        made.keys = self.keys
+        return made
+
     @property
     def desired(self):
         return read_domain(self.file)

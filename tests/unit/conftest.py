@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.unit import killing
 from tests.unit.domains import Scene
 from tests.unit.killing import create, issue_to
 
@@ -35,6 +36,12 @@ def place(memory) -> Iterator[Path]:
     """An empty folder."""
     with tempfile.TemporaryDirectory(dir=memory) as folder:
         yield Path(folder)
+
+
+@pytest.fixture
+def links_count_too(monkeypatch):
+    """For changes that hold an old key by a link until it is overwritten."""
+    monkeypatch.setattr(killing, "CALLS", (*killing.CALLS, "link"))
 
 
 @pytest.fixture(scope="module")

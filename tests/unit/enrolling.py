@@ -4,12 +4,13 @@ from dataclasses import replace
 from datetime import timedelta
 
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.enrolment import Bundle, request, validate_csrs
+from pqsec_pki.enrolment import Bundle, install, request, validate_csrs
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.unit.killing import NOW, YEAR
 
 ROBOT = "/fleet/robot1"
 DAY = timedelta(days=1)
+LATER = NOW + 2 * DAY
 
 
 def asked_of(keystore, root, name=ROBOT):
@@ -31,6 +32,11 @@ def answered(keystore, *requests, now=NOW, **spec):
     ]
     issue(keystore, keystore.unlock(None), specs, now=now, force=True)
     return Bundle.of(keystore, names, now=now)
+
+
+def put(robot, bundle, now=LATER, **options):
+    """Install the bundle on the robot."""
+    return install(bundle.to_bytes(), robot, bundle.roles, now=now, **options)
 
 
 def with_files(bundle, name=ROBOT, **files):

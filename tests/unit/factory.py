@@ -23,6 +23,12 @@ class Maker:
         self.root = self.ca("root", "root")
         self.line = self.ca("line", "root")
 
+    def put(self, folder, **revoked):
+        """Write the root, and the list of each CA with the serial numbers that it `revoked`."""
+        (folder / f"{self.owner}.pem").write_bytes(self.root)
+        for name in ("root", "line"):
+            (folder / f"{name}.crl").write_bytes(self.revoked(name, *revoked.get(name, ())))
+
     def ca(self, name, issuer):
         return self.certificate([(NameOID.COMMON_NAME, name)], name, issuer, ca=True)
 

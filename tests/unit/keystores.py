@@ -3,6 +3,9 @@
 import shutil
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
@@ -23,9 +26,22 @@ TWO = ("/listener", "/talker")
 
 
 def made(root, profile, domains="0", names=TWO, subscribe=()):
-    """A keystore with these participants; `names` may say on which domains each is."""
+    """A keystore with these participants; `names` may say on which domains each is.
+
+    Those of one name in their folders have the same keys: each is made once in a process, and then
+    copied.
+    """
+    placed = names if isinstance(names, dict) else dict.fromkeys(names, domains)
+    kept = _kept(root.name, profile, domains, tuple(placed.items()), tuple(subscribe))
+    shutil.copytree(Path(kept.name) / "k", root, symlinks=True)
+    return Keystore.open(root, to_change=True)
+
+
+@cache
+def _kept(_name, profile, domains, placed, subscribe):
+    folder = TemporaryDirectory()
     keystore = Keystore.create(
-        root,
+        Path(folder.name) / "k",
         profile_named(profile),
         name="Test",
         domains=DomainSet.parse(domains),
@@ -33,9 +49,8 @@ def made(root, profile, domains="0", names=TWO, subscribe=()):
         passphrase=None,
         now=NOW,
     )
-    placed = dict(names if isinstance(names, dict) else dict.fromkeys(names, domains))
-    add(keystore, subscribe=subscribe, **placed)
-    return keystore
+    add(keystore, subscribe=subscribe, **dict(placed))
+    return folder
 
 
 def add(keystore, *, now=NOW, subscribe=(), **names):

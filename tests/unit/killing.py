@@ -25,7 +25,7 @@ from pqsec_pki.certificates import verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
 from pqsec_pki.keystore import Keystore, audit, checked_head
-from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list
 from pqsec_pki.smime import Require, verify
 from tests.longer import LONG
 
@@ -53,6 +53,12 @@ def issue_to(root, *names, force=False):
     keystore = Keystore.open(root, to_change=True)
     specs = [ParticipantSpec(name=name, domains=DomainSet.of(0), validity=YEAR) for name in names]
     return issue(keystore, keystore.unlock(None), specs, now=NOW, force=force)
+
+
+def empty_list(root):
+    """Issue a revocation list."""
+    keystore = Keystore.open(root, to_change=True)
+    renew_list(keystore, keystore.unlock(None), now=NOW)
 
 
 # Killing

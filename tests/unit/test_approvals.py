@@ -57,9 +57,15 @@ from tests.unit.domains import DAY, NOW
 SECOND = timedelta(seconds=1)
 
 
+@pytest.fixture(scope="module")
+def first_council(tmp_path_factory):
+    """Made once, to be copied."""
+    return Council(tmp_path_factory.mktemp("council"))
+
+
 @pytest.fixture
-def council(tmp_path):
-    return Council(tmp_path)
+def council(first_council, tmp_path):
+    return first_council.copied(tmp_path)
 
 
 @pytest.fixture
@@ -672,14 +678,17 @@ def keys(tmp_path_factory):
 @pytest.mark.parametrize(
     ("given", "words"),
     [
-        ("{required: 2, of: {alice: alice.pub.pem}}", "2 approvals of 1 approvers cannot be had"),
+        (
+            "{required: 2, of: {alice: alice.pub.pem}}",
+            "2 approvals of 1 approvers are not possible",
+        ),
         ("{required: 0, of: {alice: alice.pub.pem}}", "0 approvals of 1"),
         ("{required: 1, of: {}}", "there must be 1 to 100 approvers"),
         (
             "{required: 2, of: {alice: alice.pub.pem, bob: alice.pub.pem}}",
-            "bob have one key",
+            "bob have the same key",
         ),
-        ("{required: 2, of: {bob: alice.pub.pem, Bob: bob.pub.pem}}", "bob and Bob have one name"),
+        ("{required: 2, of: {bob: alice.pub.pem, Bob: bob.pub.pem}}", "Bob have the same name"),
         ("{required: 1, of: {../bob: bob.pub.pem}}", "cannot be an approver's name"),
         ("{required: 1, of: {bob: bob.pem}}", "it must be one PEM block, PUBLIC KEY"),
         ("{required: 1, of: {bob: two.pem}}", "it must be one PEM block, PUBLIC KEY"),
@@ -719,7 +728,7 @@ def test_one_key_in_two_encodings_is_one(keys):
     done = subprocess.run(form.split(), cwd=keys, check=True, capture_output=True)
     other = load_public_key(done.stdout)
     assert other.spki != key.spki
-    with pytest.raises(UsageError, match="have one key"):
+    with pytest.raises(UsageError, match="have the same key"):
         ApprovalPolicy.of(2, [], {"alice": key, "bob": other})
 
 

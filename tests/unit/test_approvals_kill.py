@@ -13,14 +13,20 @@ from tests.longer import LONG
 from tests.unit.approving import GROWS, WEEK, Council, refused
 from tests.unit.domains import DAY, NOW
 
-EVERY = 1 if LONG else 69
+EVERY = 1 if LONG else 139
 """Of how many calls one is killed."""
 MADE = [*("plan", "approval", "approval"), *("permissions", "permissions", "revocation", "crl")]
 
 
+@pytest.fixture(scope="module")
+def first_council(tmp_path_factory):
+    """Made once, to be copied."""
+    return Council(tmp_path_factory.mktemp("council"))
+
+
 @pytest.fixture
-def council(tmp_path):
-    return Council(tmp_path)
+def council(first_council, tmp_path):
+    return first_council.copied(tmp_path)
 
 
 KILLED = """

@@ -33,6 +33,14 @@ def test_files_come_back_and_the_same_files_are_the_same_bytes():
     assert tarball.pack(dict(reversed(FILES.items()))) == data
 
 
+@pytest.mark.parametrize("name", ["a", "enclaves/r/cert.pem", "n" * 100, "d" * 60 + "/" + "n" * 60])
+@pytest.mark.parametrize("size", [0, 513, tarball.MAX_CONTENT])
+def test_a_header_is_that_of_tarfile(name, size):
+    member = tarfile.TarInfo(name)
+    member.size, member.mode = size, 0o600
+    assert tarball._header(name, size) == member.tobuf(tarfile.USTAR_FORMAT)
+
+
 def test_other_tools_read_it():
     with tarfile.open(fileobj=io.BytesIO(tarball.pack(FILES))) as tar:
         assert tar.getnames() == sorted(FILES)

@@ -5,7 +5,7 @@ from itertools import product
 
 import pytest
 
-from pqsec_pki.access import Action, TopicRight, open_rights, rights_of, without_counterpart
+from pqsec_pki.access import Action, CriteriaRight, open_rights, rights_of, without_counterpart
 from pqsec_pki.access.counterparts import is_one_edit
 from pqsec_pki.documents import DefaultAction, DomainSet, ros
 from tests.unit.test_diff import STRICT, document, topic_rule, with_rule
@@ -14,8 +14,8 @@ ZERO = DomainSet.of(0)
 
 
 def right(topic, action=Action.PUBLISH, owner="/talker", domains=ZERO, partitions=()):
-    return TopicRight(
-        owner=owner, action=action, topic=topic, domains=domains, partitions=partitions
+    return CriteriaRight(
+        owner=owner, action=action, topics=(topic,), domains=domains, partitions=partitions
     )
 
 

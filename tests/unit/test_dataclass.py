@@ -146,6 +146,18 @@ def test_a_value_without_fields_and_one_that_contains_itself():
     assert str(ring).endswith("Ring(next=...)")
 
 
+def test_a_class_costs_nothing_before_it_is_used_and_is_compiled_for_many_values():
+    """Each command makes hundreds of classes, of most of them no value, of others a few."""
+    point = made(OURS, **FROZEN)
+    own = vars(point)
+    assert not isinstance(own["__dataclass_fields__"], dict)
+    for each in range(60):
+        compiled = not own["__init__"].__code__.co_filename.endswith("_dataclass.py")
+        assert compiled is (each > 50)
+        assert (point(each).x, point.__match_args__) == (each, ("x", "y", "tags"))
+    assert isinstance(own["__dataclass_fields__"], dict)
+
+
 def test_no_class_of_the_package_has_compiled_methods_before_its_first_value():
     code = (
         "import pqsec_pki.documents.permissions as p; print(p.Grant.__init__.__code__.co_filename)"

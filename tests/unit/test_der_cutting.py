@@ -6,9 +6,10 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from pqsec_pki._asn1 import Oid, content, elements, encode
+from pqsec_pki._asn1 import Oid, bits, content, elements, encode, sequence_of
 from pqsec_pki.algorithms import SIGNATURES, load_public_key
 from pqsec_pki.certificates import Authority, Certificate
+from pqsec_pki.certificates._alternative import _covered_by_certificate
 from pqsec_pki.errors import MalformedError
 
 VALUES = [
@@ -83,3 +84,36 @@ def test_a_bare_rsa_key_is_no_key_of_the_kind_that_stands_in_its_modulus(row):
     bare = rsa.RSAPublicNumbers(65537, modulus).public_key()
     with pytest.raises(MalformedError, match="not a DER SubjectPublicKeyInfo"):
         load_public_key(bare.public_bytes(Encoding.DER, PublicFormat.PKCS1))
+
+
+VERSION, SERIAL = bytes.fromhex("a003020102"), bytes.fromhex("02020123")
+NAME, TIMES, KEY = (sequence_of([bytes.fromhex("0c01") + each]) for each in (b"a", b"b", b"c"))
+MARK = sequence_of([encode(Oid("1.2.840.10045.4.3.2"))])
+UNIQUE = bytes.fromhex("810300ffff820300eeee")
+USAGE, KIND, VALUE = (
+    sequence_of([encode(Oid(oid)), encode(encode(bits(bytes(size))))])
+    for oid, size in (("2.5.29.15", 1), ("2.5.29.73", 3), ("2.5.29.74", 3309))
+)
+
+
+def to_be_signed(*extensions, mark=b"", unique=b""):
+    """A TBSCertificate, whose values need not be valid."""
+    inside = sequence_of([sequence_of(extensions)], 0xA3)
+    return sequence_of([VERSION, SERIAL, mark, NAME, TIMES, NAME, KEY, unique, inside])
+
+
+@pytest.mark.parametrize("unique", [b"", UNIQUE])
+@pytest.mark.parametrize("place", range(3))
+def test_an_alternative_signature_covers_all_but_itself_and_the_mark_of_the_other(unique, place):
+    """X.509 (10/2019) 9.8."""
+    others = [USAGE, KIND]
+    with_value = [*others[:place], VALUE, *others[place:]]
+    whole = to_be_signed(*with_value, mark=MARK, unique=unique)
+    assert _covered_by_certificate(whole) == to_be_signed(*others, unique=unique)
+    before = to_be_signed(*others, mark=MARK, unique=unique)  # when it is made
+    assert _covered_by_certificate(before) == to_be_signed(*others, unique=unique)
+
+
+def test_a_certificate_of_version_1_is_cut_too():
+    parts = [SERIAL, MARK, NAME, TIMES, NAME, KEY]
+    assert _covered_by_certificate(sequence_of(parts)) == sequence_of([SERIAL, *parts[2:]])

@@ -64,7 +64,7 @@ def keystores(tmp_path_factory):
 
     def keystore(profile="transition", label="ours"):
         if (profile, label) not in found:
-            root = tmp_path_factory.mktemp(f"{profile}-{label}") / "keystore"
+            root = tmp_path_factory.mktemp(profile) / label
             found[profile, label] = made(root, profile, names=("/listener",))
         return found[profile, label]
 

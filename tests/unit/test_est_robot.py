@@ -265,7 +265,7 @@ def test_a_bundle_that_is_no_answer_is_refused(server, terms, robot, change, wor
 
 def test_a_bundle_with_keys_is_refused(server, terms, robot):
     with_bundle(server, lambda _: Bundle.of(server.keystore, ["/arm"], now=NOW).to_bytes())
-    with pytest.raises(VerificationError, match="has private keys, which are made here alone"):
+    with pytest.raises(VerificationError, match="which must be made on this robot"):
         enrol(client_of(server), "/arm", robot, terms, clock=clock())
 
 

@@ -13,12 +13,14 @@ from pqsec_pki.estimation import (
     MOST_PAIRS,
     ClosedForm,
     Costs,
+    Estimate,
     Scenario,
     costs_of,
     estimated,
     simulated,
     sizes_of,
 )
+from pqsec_pki.handshake import WireVersion
 from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH
 
 PQ = Scenario(participants=10, sizes=sizes_of(profile_named("pq")), costs=costs_of("pq"))
@@ -111,13 +113,15 @@ def test_memory_for_reassembly_that_is_full_delays_the_simulation():
 
 def test_sizes_are_those_of_handshakes():
     """Never less: a stack's participant data and the longest ECDSA signatures are counted."""
-    for suite in suites_of(PROFILES):
+    new = [each for each in PROFILES if each.key_agreement.binds_transcript]
+    second = [each.in_version(WireVersion.SECOND) for each in suites_of(new)]
+    for suite in (*suites_of(PROFILES), *second):
         measured = measured_rounds(suite, rounds=1, warm_up=0, now=datetime.now(UTC))
-        told = sizes_of(profile_named(suite.profile))
+        told = sizes_of(profile_named(suite.profile), suite.version)
         for one, other in zip(
             (told.request, told.reply, told.final), measured.sizes.samples, strict=True
         ):
-            assert 0.99 * other <= one, suite
+            assert 0.99 * other <= one < 1.1 * other + 650, suite
 
 
 def test_a_seed_makes_it_the_same_and_large_fleets_take_no_more_events():
@@ -130,19 +134,36 @@ def test_a_seed_makes_it_the_same_and_large_fleets_take_no_more_events():
     assert len(ClosedForm.of(asked).turns) == len(ClosedForm.of(PQ).turns)
 
 
+def test_slower_processors_cost_a_busy_fleet_more_than_their_part():
+    """Who waits longer repeats more: a mesh of 30 took a quarter longer on a machine that was a
+    seventh slower (bench/README.md)."""
+    busy = replace(PQ, participants=30, hosts=1, cores=2)
+    slower = replace(busy, costs=busy.costs.times(1.15))
+    assert slower.work == pytest.approx([1.15 * each for each in busy.work])
+    assert slower.busy > 1.25 * busy.busy
+    [note] = [each for each in estimated(busy, 1).notes if "computes" in each]
+    assert note.startswith("each host computes for 10.8 s, on processors a tenth slower 12.8 s")
+
+
 def test_a_network_through_which_nothing_comes_is_told():
     lost = estimated(replace(PQ, loss=0.5, fragment=64), seed=1)
     assert lost.closed.mesh(0.5) is None
     assert any("gives up" in each for each in lost.notes)
 
 
+def advice_for(scenario):
+    """It follows from the closed form: the simulation is as small as it can be."""
+    simulation = simulated(scenario, seed=1, most=1)
+    found = Estimate(scenario, ClosedForm.of(scenario), simulation).advice
+    return [each.change for each in found]
+
+
 def test_advice_is_what_would_help():
-    large = replace(PQ, participants=300, fragment=14_000, loss=0.01)
-    advice = [each.change for each in estimated(large, 1).advice]
-    assert any("1300 bytes" in each for each in advice)
-    assert any("ipfrag_high_thresh=12582912" in each for each in advice)
-    busy = replace(PQ, participants=200, hosts=1)
-    assert any("start the participants over" in each.change for each in estimated(busy, 1).advice)
-    assert list(estimated(PQ, 1).advice) == []
-    lossy = estimated(replace(PQ, participants=100, loss=0.1), 1)
-    assert [each.change for each in lossy.advice if "profile" in each.change]
+    large = advice_for(replace(PQ, participants=300, fragment=14_000, loss=0.01))
+    assert any("1300 bytes" in each for each in large)
+    assert any("ipfrag_high_thresh=12582912" in each for each in large)
+    busy = advice_for(replace(PQ, participants=200, hosts=1))
+    assert any("start the participants over" in each for each in busy)
+    assert advice_for(PQ) == []
+    lossy = advice_for(replace(PQ, participants=100, loss=0.1))
+    assert [each for each in lossy if "profile" in each]

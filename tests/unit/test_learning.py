@@ -1,5 +1,6 @@
 """Permissions proposed from traces of Cyclone DDS and from `ros2 node info`."""
 
+import json
 import re
 from pathlib import Path
 
@@ -24,8 +25,8 @@ from pqsec_pki.learning.cyclone_trace import CycloneTrace
 from tests.unit.keystores import NOW, made
 
 VECTORS = Path(__file__).parent.parent / "vectors" / "learning"
-KITCHEN, PARTITIONS, NODES = (
-    VECTORS / name for name in ("kitchen.log", "partitions.log", "nodes.txt")
+KITCHEN, PARTITIONS, NODES, MONITOR = (
+    VECTORS / name for name in ("kitchen.log", "partitions.log", "nodes.txt", "monitor.json")
 )
 LINE = (
     "1795417423.769100 [0]     python: WRITER 1:2:3:303 QOS={user_data=0<>,"
@@ -92,6 +93,96 @@ def test_the_output_of_ros2_node_info_is_read_as_it_is():
     assert "use_sim_time: true" in texts[0]
     assert "action_servers:\n          - /cook" in texts[1]
     assert texts[2].endswith("    domains: 7\n    nodes:\n      - /lift/second\n")
+
+
+def without_domains(endpoints):
+    return {(each.action, each.topic, each.partitions) for each in endpoints}
+
+
+def test_a_dump_of_fast_dds_monitor_shows_what_a_trace_shows():
+    found = read_recordings([MONITOR])
+    assert (found.left_out, found.unread) == ((), ())
+    assert {each.domain for seen in found.participants for each in seen.endpoints} == {3}
+    seen = {each.name: each for each in found.participants}
+    traced = {each.name: each for each in read_recordings([KITCHEN]).participants}
+    assert list(seen) == ["/guest", "/kitchen/cook"]
+    for name, participant in seen.items():
+        assert participant.nodes == traced[name].nodes
+        assert without_domains(participant.endpoints) == without_domains(traced[name].endpoints)
+
+
+def changed(tmp_path, change, **options):
+    """What is read of the dump after that change."""
+    dump = json.loads(MONITOR.read_text())
+    change(dump)
+    return recorded(tmp_path, json.dumps(dump), **options)
+
+
+def without(kind):
+    return lambda dump: dump.pop(kind)
+
+
+def with_(kind, **values):
+    """A change of all entities of that kind."""
+
+    def change(dump):
+        for each in dump[kind].values():
+            each.update(values)
+
+    return change
+
+
+def test_a_dump_shows_partitions_processes_and_domains_of_discovery_servers(tmp_path):
+    def change(dump):
+        with_("participants", name="RTPSParticipant", process="7", qos=None)(dump)
+        with_("domains", name="44.53.00.5f.45.50.52.4f.53.49.4d.41")(dump)
+        with_("datawriters", qos={"partition": ["floor2", "floor1"]})(dump)
+        with_("datareaders", qos={"partition": ["floor2", "floor1"]})(dump)
+        dump["processes"]["7"] = {"name": "player"}
+
+    found = changed(tmp_path, change, domain=9)
+    points = {point for each in found.participants for point in each.endpoints}
+    assert {each.domain for each in points} == {9}
+    assert {each.partitions for each in points} == {("floor1", "floor2")}
+    assert [each.label for each in found.participants] == ["player", "player"]
+
+
+def test_enclaves_that_a_dump_does_not_have_whole_are_not_used(tmp_path):
+    for data in ("656e636c6176653d2f61", "0" + b"enclave=/a;".hex(), "", None, [], "zz"):
+        change = with_("participants", qos={"user_data": data})
+        assert [each.name for each in changed(tmp_path, change).participants] == ["/cook", "/guest"]
+
+
+BROKEN_DUMPS = {
+    "no participants": (lambda dump: dump["participants"].clear(), "has no participant"),
+    "without participants": (without("participants"), "not a dump of Fast DDS"),
+    "without topics": (without("topics"), "not a dump of Fast DDS"),
+    "list": (lambda dump: dump.update(topics=[]), "not a dump of Fast DDS"),
+    "text": (lambda dump: dump.update(topics={"1": "x"}), "not a dump of Fast DDS"),
+    "topic": (with_("datareaders", topic="1"), "datareaders, [0-9]+: its topic is not in the dump"),
+    "no topic": (with_("datawriters", topic=["x"]), "datawriters, [0-9]+: its topic is not in"),
+    "no name": (with_("topics", name=7), "its topic is not in the dump"),
+    "owner": (with_("datawriters", participant="x"), "its participant is not in the dump"),
+    "domain": (with_("participants", domain="7"), "its domain is not in the dump"),
+    "other domain": (with_("domains", name="231"), "'231' is not a domain from 0 to 230"),
+    "GUID": (with_("datawriters", guid="1"), "it has no GUID"),
+    "partitions": (with_("datareaders", qos={"partition": [1]}), "its partitions cannot be read"),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN_DUMPS)
+def test_a_dump_that_is_not_complete_is_refused(tmp_path, name):
+    change, message = BROKEN_DUMPS[name]
+    with pytest.raises(MalformedError, match=message):
+        changed(tmp_path, change)
+
+
+@pytest.mark.parametrize("text", ["{", "{}]", '{"a": 1}', "{" * 100_000, '{"a":' * 100_000])
+def test_json_that_is_no_dump_is_refused(tmp_path, text):
+    with pytest.raises(
+        MalformedError, match=r"begins like JSON, and is not|not a dump of Fast DDS"
+    ):
+        recorded(tmp_path, text)
 
 
 def test_partitions_and_participants_without_a_name():
@@ -252,8 +343,8 @@ def test_lines_of_nodes_that_cannot_be_read_are_named(tmp_path):
     [
         ("", "is empty"),
         ("\n\n", "is empty"),
-        ("hello\n", "neither"),
-        (b"\xff\xfe\x00", "neither"),
+        ("hello\n", "is not a trace of Cyclone DDS, a dump"),
+        (b"\xff\xfe\x00", "is not a trace"),
         (
             "1795417423.769100 [0]     python: udp de-initialized\n",
             "no line is about a participant",

@@ -249,6 +249,14 @@ def test_a_planted_head_is_found_and_not_continued(keystore, tmp_path, kind):
         sign_head(keystore, keystore.unlock(None))
 
 
+def test_a_head_that_was_verified_is_verified_again_for_other_cas(keystore, tmp_path):
+    assert read_head(keystore.root)
+    other = made(tmp_path / "other", "classical")
+    shutil.copy(other.permissions_ca_path, keystore.permissions_ca_path)
+    with pytest.raises(VerificationError, match="no signature by"):
+        read_head(keystore.root)
+
+
 def test_a_head_with_one_of_two_signatures_is_refused(tmp_path):
     keystore = made(tmp_path / "k", "transition")
     path = keystore.root / "public/ledger.checkpoint"

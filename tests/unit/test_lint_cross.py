@@ -9,7 +9,7 @@ from datetime import timedelta
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, padding, rsa
+from cryptography.hazmat.primitives.asymmetric import ec, padding
 from cryptography.hazmat.primitives.serialization import pkcs7
 
 from pqsec_pki._asn1 import ContentInfo, Oid, algorithm, encode
@@ -25,6 +25,7 @@ from pqsec_pki.smime._mime import split
 from pqsec_pki.stacks import Stack
 from pqsec_pki.tokens import reference_to
 from pqsec_pki.vendors.enclave import StackEnclave
+from tests.some_keys import rsa_key
 from tests.unit.keystores import DAY, NOW, TWO, made
 from tests.unit.linting import TALKER, Lab, certificate, found, p256
 from tests.unit.signed_files import CONSTRUCTIONS
@@ -488,7 +489,7 @@ def test_options_that_stacks_take_are_not_complained_of(lab, option, digest):
 
 
 def test_a_signature_that_cannot_be_checked_is_not_called_false(lab):
-    key = rsa.generate_private_key(65537, 2048)
+    key = rsa_key(2048)
     text = certificate("Test Permissions CA", key=key, ca=True)
     lab.put("public/permissions_ca.cert.pem", text)
     pss = padding.PSS(padding.MGF1(hashes.SHA256()), 32)

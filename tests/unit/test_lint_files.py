@@ -125,3 +125,12 @@ def test_a_traditional_key_counts_too(lab):
     (lab / "public/old.pem").write_bytes(in_the_old_way(NoEncryption()) + certificate())
     assert {"PQS701", "PQS704"} <= set(lab.found())
     assert "PQS708" not in lab.found()
+
+
+def test_a_key_is_found_in_a_file_that_is_also_a_document(lab):
+    signed = (lab / TALKER / "permissions.p7s").read_bytes()
+    lab.put(f"{TALKER}/both.p7s", signed + (lab / KEY).read_bytes())
+    (lab / TALKER / "both.p7s").chmod(0o644)
+    found = lab.found()
+    assert {"PQS701", "PQS706", "PQS344"} <= set(found)
+    assert found["PQS701"].path.name == "both.p7s"

@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
-from cryptography.hazmat.primitives.asymmetric import ec, ed25519, mldsa, padding, rsa
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, mldsa, padding
 from cryptography.hazmat.primitives.serialization import (
     BestAvailableEncryption,
     Encoding,
@@ -25,6 +25,7 @@ from pqsec_pki.documents import DomainSet, Governance, Grant, Permissions
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.stacks import Stack
 from tests.docs.rules_page import MEASURED as ROWS
+from tests.some_keys import rsa_key
 from tests.unit.keystores import DAY, NOW
 from tests.unit.linting import YEAR, certificate, p256, usage
 
@@ -104,9 +105,9 @@ def replaced(old, new):
     return {"change": change}
 
 
-def new_rsa(bits):
+def some_rsa(bits, owner="alice"):
     """A key that is made when a test uses it: each worker reads all cases, and runs some."""
-    return lambda: rsa.generate_private_key(65537, bits)
+    return lambda: rsa_key(bits, owner)
 
 
 def with_key(more):
@@ -142,20 +143,21 @@ ROOT, MIDDLE = p256(), p256()
 BELOW = {"name": "Middle CA", "ca": True, "key": MIDDLE, "issuer": "Identity CA", "signer": ROOT}
 BELOW_ROOT = {"identity": {"key": ROOT}, "own": {"issuer": "Middle CA", "signer": MIDDLE}}
 ML_DSA = mldsa.MLDSA65PrivateKey.generate()
+ROLES = ("identity", "permissions", "own")
 PASSWORD = BestAvailableEncryption(b"Correct-Horse_1")
 LONG = PERMISSIONS.replace(b"<default>", b"<!--" + b"x" * (512 << 10) + b"--><default>")
 
 MEASURED = {
     "all P-256, SHA-256 (baseline)": [{}],
-    "all RSA-2048": [{each: key(new_rsa(2048)) for each in ("identity", "permissions", "own")}],
+    "all RSA-2048": [{each: key(some_rsa(2048, each)) for each in ROLES}],
     "identity CA P-384, leaf P-256": [{"identity": key(P384)}],
     "leaf P-384": [{"own": key(P384)}],
-    "all RSA-3072": [{each: key(new_rsa(3072)) for each in ("identity", "permissions", "own")}],
+    "all RSA-3072": [{each: key(some_rsa(3072, each)) for each in ROLES}],
     "identity CA Ed25519": [{"identity": key(ED25519), "own": {"digest": False}}],
     "leaf Ed25519": [{"own": key(ED25519, digest=None)}],
     "permissions CA P-384": [{"permissions": key(P384)}],
     "permissions CA RSA-2048 / 3072 / 4096 (same verdicts)": [
-        {"permissions": key(new_rsa(bits))} for bits in (2048, 3072)
+        {"permissions": key(some_rsa(bits))} for bits in (2048, 3072)
     ],
     "permissions CA Ed25519 (CMS by OpenSSL 3.5)": [{"permissions": key(ED25519)}],
     "leaf brainpoolP256r1 / secp256k1 (wrongly let in)": [
@@ -165,7 +167,7 @@ MEASURED = {
     "certs signed ecdsa-with-SHA384 or SHA512": [
         {"own": {"digest": hashes.SHA384()}}, {"identity": {"digest": hashes.SHA512()}},
     ],
-    "certs signed RSASSA-PSS": [{"identity": key(new_rsa(2048), **PSS)}],
+    "certs signed RSASSA-PSS": [{"identity": key(some_rsa(2048), **PSS)}],
     "S/MIME digest SHA-384 / SHA-512": [{"digest": hashes.SHA384}, {"digest": hashes.SHA512}],
     "same, whole file LF": [replaced(b"\r\n", b"\n")],
     "no Text flag (`Detached` only)": [{"options": (DETACHED,)}],

@@ -2,18 +2,18 @@
 
 import shutil
 from datetime import UTC, datetime
-from functools import cache
 
 import pytest
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes, serialization
-from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding, rsa
+from cryptography.hazmat.primitives.asymmetric import ec, ed25519, padding
 from cryptography.x509.oid import ExtendedKeyUsageOID
 
 from pqsec_pki._asn1 import Signed, TBSCertList, bits, decode, encode, raw
 from pqsec_pki.algorithms import SIGNATURES, pem, unpem
 from pqsec_pki.certificates import Authority
 from pqsec_pki.stacks import Stack
+from tests.some_keys import rsa_key
 from tests.unit.keystores import DAY, NOW
 from tests.unit.linting import (
     TALKER,
@@ -48,12 +48,6 @@ SAN = x509.SubjectAlternativeName([x509.DNSName("robot")])
 CERT_SIGN = usage("key_cert_sign", "crl_sign")
 SIGN = usage("digital_signature")
 SHA256_WITH_RSA, SHA1_WITH_RSA = (bytes.fromhex(f"2a864886f70d0101{n}") for n in ("0b", "05"))
-
-
-@cache
-def rsa_key(bits):
-    """Made when a test first uses it: each worker reads all cases, and runs some."""
-    return rsa.generate_private_key(65537, bits)
 
 
 def own(**flaw):
@@ -112,7 +106,7 @@ def p521():
 # Rule -> files that break it, each made when it is asked for.
 FLAWED = {
     "PQS101": [lambda: key(p384()), lambda: ca(key=p384()),
-               lambda: key(rsa.generate_private_key(65537, 3072)),
+               lambda: key(rsa_key(3072)),
                lambda: key(p521())],
     "PQS102": [lambda: own(**ed(digest=None)), lambda: ca(**ed()), lambda: permissions_ca(**ed())],
     "PQS103": [lambda: key(ec.generate_private_key(ec.BrainpoolP256R1())),
@@ -167,7 +161,7 @@ SOUND = {
     "RSA-2048": lambda: own(key=rsa_key(2048)),
     "RSA-2048 CA": lambda: ca(key=rsa_key(2048)),
     "P-384 permissions CA, signed with SHA-256": lambda: permissions_ca(key=p384()),
-    "RSA-3072 permissions CA": lambda: permissions_ca(key=rsa.generate_private_key(65537, 3072)),
+    "RSA-3072 permissions CA": lambda: permissions_ca(key=rsa_key(3072)),
     "P-521 permissions CA, which was not measured": lambda: permissions_ca(key=p521()),
     "far from its end": lambda: own(end=NOW + 31 * DAY, begin=NOW - YEAR),
     "short-lived and young": lambda: own(end=NOW + 3 * DAY),

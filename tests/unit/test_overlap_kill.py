@@ -8,23 +8,16 @@ import pytest
 
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.keystore import Keystore, Overlap, audit
-from pqsec_pki.lifecycle import Rollover, Scope, renew_list
-from pqsec_pki.lint import Severity, check
-from tests.unit import killing
+from pqsec_pki.lifecycle import Rollover, Scope
 from tests.unit.keystores import begin_overlap, cancel_overlap, finish_overlap, switch_overlap
-from tests.unit.killing import NOW, check_commitment, copies, drafts, issue_to
+from tests.unit.killing import NOW, check_commitment, copies, drafts, empty_list, issue_to
+from tests.unit.linting import check_nothing_broken
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("links_count_too")]
 
 ROBOT = "/fleet/robot1"
 RARELY = 5
 """What takes long is looked at after each so many calls."""
-
-
-@pytest.fixture(autouse=True)
-def links_count_too(monkeypatch):
-    """The key that a cancelled overlap leaves is held by a link until it is overwritten."""
-    monkeypatch.setattr(killing, "CALLS", (*killing.CALLS, "link"))
 
 
 def step(name: str, root: Path) -> None:
@@ -53,15 +46,6 @@ def phase_of(root: Path) -> str:
     return overlap.phase if overlap else issuing.subject_name
 
 
-def _is_error(finding) -> bool:
-    return finding.rule.severity is Severity.ERROR and "/.draft-" not in str(finding.path)
-
-
-def empty_list(root: Path) -> None:
-    keystore = Keystore.open(root, to_change=True)
-    renew_list(keystore, keystore.unlock(None), now=NOW)
-
-
 @pytest.mark.parametrize(
     ("before", "name", "every"),
     [
@@ -84,7 +68,7 @@ def test_a_step_is_done_or_not_whenever_the_kill_comes(place, prepared, before, 
         outcomes.append(found != start)
         if len(outcomes) % RARELY:
             continue
-        assert not list(filter(_is_error, check([root], now=NOW).findings))
+        check_nothing_broken(root)
         if not outcomes[-1]:
             step(name, root)
             assert phase_of(root) != start

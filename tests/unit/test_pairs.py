@@ -396,6 +396,17 @@ def test_a_process_that_is_killed_is_told(many):
     assert multiprocessing.active_children() == []
 
 
+@pytest.mark.slow
+def test_the_processes_run_no_code_of_the_folder_where_they_start(many, tmp_path, monkeypatch):
+    """Whoever may write where somebody works could have commands of that person's run there."""
+    (tmp_path / "multiprocessing.py").write_text("raise SystemExit(3)")
+    monkeypatch.chdir(tmp_path)
+    job = AllPairsJob(root=many.root, now=NOW)
+    with worker_pool(job, 2) as pool:
+        assert list(pool.map(Worker.check_parties, [[], []])) == [[], []]
+    assert "PYTHONSAFEPATH" not in os.environ
+
+
 def test_few_pairs_are_not_worth_a_process(keystore):
     with surveyed(keystore(), jobs=8) as found:
         assert found._pool.members == ()

@@ -15,20 +15,21 @@ def texts(svg):
     return {"".join(each.itertext()).strip() for each in ET.fromstring(svg).iter(f"{SVG}text")}  # noqa: S314 -- our own
 
 
-def suite(name, median):
+def suite(name, median, version=1):
     wall = {"p50": median, "p95": 2 * median}
     return {
         "profile": name,
         "signature": "ml-dsa-65",
         "key_agreement": "mlkem768",
+        "wire_version": version,
         "wall_ms": dict.fromkeys(("handshake", "initiator", "responder"), wall),
         "token_bytes": (15_000, 19_000, 5_000),
     }
 
 
-def row(measure, value, *, hosts=2, loss=0.0, host=None, profile="pq"):  # noqa: PLR0913
+def row(measure, value, *, hosts=2, loss=0.0, host=None, profile="pq", version=1):  # noqa: PLR0913
     own = ("cyclonedds", "0.10.2", "pqsec" if profile else "none", profile, hosts, loss, 0.0, 1500)
-    return dict(zip(MESH_COLUMNS, (*own, 1, host, measure, value), strict=True))
+    return dict(zip(MESH_COLUMNS, (*own, 1, host, measure, value, version), strict=True))
 
 
 def runs(hosts, loss, *times):
@@ -54,6 +55,15 @@ def test_meetings_have_a_line_for_each_loss_and_a_panel_for_each_kind():
     said = texts(meshes_drawn(rows)["meetings.svg"])
     assert {"0% loss", "5% loss", "cyclonedds pq 2 hosts MTU 1500"} <= said
     assert "cyclonedds unsecured 2 hosts MTU 1500" in said
+
+
+def test_the_second_version_of_messages_has_bars_and_panels_of_its_own():
+    svg = suites_drawn([suite("pq", 5.0), suite("pq", 4.0, version=2)])["suites.svg"]
+    name = "pq: ml-dsa-65, mlkem768"
+    assert {name, f"{name}, version 2"} <= texts(svg)
+    rows = [row("complete", 2, version=each) for each in (1, 2)]
+    said = texts(meshes_drawn(rows)["meetings.svg"])
+    assert {f"cyclonedds pq {more}2 hosts MTU 1500" for more in ("", "version 2 ")} <= said
 
 
 def test_who_has_not_met_counts_as_apart():

@@ -17,10 +17,14 @@ from pathlib import Path
 
 import pytest
 
+import pqsec_pki
+from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.errors import FileError, MalformedError
 from pqsec_pki.plugin import AgentFolder, agent_status, listening, stop_agent
 from pqsec_pki.plugin import agent_folder as place_module
+from pqsec_pki.plugin import staying as staying_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
+from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.plugin.control import Client
 from pqsec_pki.plugin.listening import peer
 from pqsec_pki.plugin.server import MAX_CONNECTIONS
@@ -202,6 +206,169 @@ def test_an_idle_agent_ends_but_not_while_somebody_is_there(place):
         assert process.poll() is None
         guest.close()
         assert process.wait(PATIENCE) == 0
+
+
+# The agent as a host starts it, which looks often whether it should stay.
+_STAYING = (
+    "import sys; sys.path.insert(0, sys.argv.pop(1))\n"
+    "from pqsec_pki.plugin import __main__ as agent, server\n"
+    "agent.IDLE_SECONDS = server._GRACE_SECONDS = server._CALM = 0.1\n"
+    "agent.start()\n"
+)
+
+
+@contextmanager
+def staying(place, site, *more, **environment):
+    """An agent whose program is installed in `site`."""
+    for name in ("pqsec_pki", *more):
+        site.joinpath(name).symlink_to(Path(pqsec_pki.__file__).parents[1] / name)
+    command = [sys.executable, "-c", _STAYING, site, place.socket]
+    process = subprocess.Popen(
+        command, stderr=subprocess.PIPE, text=True, env=os.environ | environment
+    )
+    try:
+        until(lambda: agent_status(place))
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+@pytest.mark.parametrize("change", ["another program", "no socket"])
+def test_an_agent_without_hosts_stays_until_it_is_no_longer_the_users(place, tmp_path, change):
+    """The first participant after a pause waited for a whole start: 0.2 s."""
+    with staying(place, tmp_path, "schemas") as process:
+        time.sleep(0.6)
+        assert agent_status(place).process == process.pid
+        if change == "no socket":
+            place.socket.unlink()
+        else:
+            tmp_path.joinpath("pqsec-9.dist-info").mkdir()
+        assert process.wait(PATIENCE) == 0
+
+
+def replace(path):
+    """As an installation does: another file of the same content takes its place."""
+    fresh = path.with_suffix(".new")
+    shutil.copy(path, fresh)
+    fresh.replace(path)
+
+
+def installed_anew(site):
+    """Another pqsec takes the place of that in `site`."""
+    other = site / "other"
+    shutil.copytree(Path(pqsec_pki.__file__).parent, other, ignore=lambda *_: {"__pycache__"})
+    site.joinpath("pqsec_pki").unlink()
+    other.rename(site / "pqsec_pki")
+
+
+def is_turned_away(place):
+    """Whether a host is told nothing, so that the library starts an agent."""
+    with pytest.raises(FileError, match="the agent does not answer"):
+        Client(place, "authentication")
+    return agent_status(place) is None
+
+
+def test_the_next_host_is_not_served_by_a_program_that_was_replaced(place, tmp_path):
+    """As long as one host stayed, or the next came within five minutes, all were: also after an
+    update that cured a flaw."""
+    with staying(place, tmp_path, "schemas") as process:
+        host = Client(place, "authentication")
+        installed_anew(tmp_path)
+        assert is_turned_away(place)
+        with running(place) as second:
+            assert agent_status(place).process == second.pid
+            with pytest.raises(MalformedError, match="does not know the handle"):
+                host.call("get_identity_token", 1)  # it keeps the agent that has its keys
+            host.close()
+            assert process.wait(PATIENCE) == 0
+            assert agent_status(place).process == second.pid
+
+
+def test_a_library_of_another_version_gets_the_agent_that_was_installed_with_it(place, tmp_path):
+    """It was told to stop the one before, which could stay for ever."""
+    with staying(place, tmp_path, "schemas"):
+        host = Client(place, "authentication")
+        installed_anew(tmp_path)
+        with connected(place, greeting("authentication", version=VERSION + 1)) as link:
+            assert link.recv(100) == b""
+        host.close()
+
+
+@pytest.mark.parametrize("has_host", [True, False])
+def test_an_agent_does_not_outlive_a_library_that_was_replaced(place, tmp_path, has_host):
+    """An update of OpenSSL, Python or lxml reached no participant before a logout."""
+    maps = Path("/proc/self/maps").read_text()
+    library = tmp_path / "lib" / "libany.so"
+    library.parent.mkdir()
+    shutil.copy(re.search(r"r-xp .* (/\S+/libm\S+)", maps)[1], library)
+    with staying(place, tmp_path, "schemas", LD_PRELOAD=str(library)) as process:
+        host = Client(place, "authentication") if has_host else None
+        replace(library)
+        if host:
+            assert is_turned_away(place)
+            host.close()
+        assert process.wait(PATIENCE) == 0
+
+
+_AT = "7f0000000000-7f0000001000 {} 00000000 fe:01 42  {}\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "is_old"),
+    [
+        (_AT.format("r-xp", "/usr/lib/libssl.so.3 (deleted)"), True),
+        (_AT.format("r-xp", "/usr/lib/libssl.so.3"), False),
+        (_AT.format("r--p", "/usr/lib/locale/locale-archive (deleted)"), False),
+        (_AT.format("r-xp", "/memfd:libffi (deleted)"), False),  # it has no file
+        (_AT.format("r-xp", "/opt/removed before.so (deleted)"), False),
+    ],
+)
+def test_only_a_program_or_library_that_was_replaced_since_counts(
+    monkeypatch, tmp_path, line, is_old
+):
+    maps = tmp_path / "maps"
+    monkeypatch.setattr(staying_module, "_MAPS", maps)
+    before = _AT.format("r-xp", "/opt/removed before.so (deleted)")
+    maps.write_text(before)
+    found = staying_module.replaced()
+    maps.write_text(before + line)
+    assert found() is is_old
+    maps.unlink()  # as in a container without /proc
+    assert not found()
+
+
+def test_later_workers_share_what_the_first_participant_did_not_wait_for(place, tmp_path):
+    """Each loaded lxml for itself."""
+    with staying(place, tmp_path, "schemas") as process:
+        until(lambda: "lxml/etree" in Path(f"/proc/{process.pid}/maps").read_text())
+
+
+def test_an_installation_that_lacks_something_does_not_end_the_agent(place, tmp_path):
+    """It may be replaced in that moment."""
+    with staying(place, tmp_path) as process:
+        said = [process.stderr.readline() for _ in range(2)]
+        assert "later workers load it themselves: schemas/" in said[1]
+        assert agent_status(place).process == process.pid
+
+
+def test_workers_of_one_agent_have_no_random_numbers_in_common():
+    code = (
+        "import os, random, secrets\n"
+        "from pqsec_pki.algorithms import KEY_AGREEMENTS\n"
+        "from pqsec_pki.plugin import __main__, staying\n"
+        "staying.load_the_rest(print)\n"
+        "for _ in range(2):\n"
+        "    if not os.fork():\n"
+        "        for row in KEY_AGREEMENTS:\n"
+        "            print(row.generate().public.hex(), flush=True)\n"
+        "        print(secrets.token_hex(), random.random(), sep='\\n', flush=True)\n"
+        "        os._exit(0)\n"
+        "    os.wait()\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    found = done.stdout.split()
+    assert len(found) == len(set(found)) == 2 * (len(KEY_AGREEMENTS) + 2)
 
 
 @pytest.mark.parametrize("mode", [0o755, 0o770])
@@ -460,7 +627,9 @@ def test_a_log_that_has_grown_loses_its_older_half(place):
 def test_an_agent_loads_little_before_its_first_answer():
     """The first participant waits for it. Its worker loads lxml with the first document."""
     rooms = "access algorithms certificates credentials documents handshake plugin smime tokens"
-    costly = "argparse ast asyncio concurrent http json logging multiprocessing ssl subprocess"
+    costly = (
+        "argparse ast asyncio concurrent difflib http json logging multiprocessing ssl subprocess"
+    )
     code = (
         "import sys; before = set(sys.modules); import pqsec_pki.plugin.__main__\n"
         "new = set(sys.modules) - before\n"

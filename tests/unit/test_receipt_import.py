@@ -9,7 +9,7 @@ import pytest
 from pqsec_pki.algorithms import load_private_key
 from pqsec_pki.certificates import Reason
 from pqsec_pki.documents import Governance
-from pqsec_pki.enrolment import Bundle, import_receipts, install, rollback
+from pqsec_pki.enrolment import Bundle, import_receipts, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.enrolment.receipt import read_receipts, receipt_of
@@ -25,11 +25,9 @@ from pqsec_pki.lifecycle import (
 )
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import Signer, sign
-from tests.unit.enrolling import DAY, ROBOT, answered, asked_of
+from tests.unit.enrolling import DAY, LATER, ROBOT, answered, asked_of, put
 from tests.unit.keystores import enter, made, rotate
 from tests.unit.killing import NOW
-
-LATER = NOW + 2 * DAY
 
 
 @pytest.fixture(scope="module")
@@ -50,12 +48,6 @@ def keystore(original, place):
 @pytest.fixture
 def robot(original, place):
     return shutil.copytree(original[1], place / "robot", symlinks=True)
-
-
-def put(robot, bundle, now=LATER, **options):
-    path = robot.parent / f"{robot.name}.bundle"
-    path.write_bytes(bundle.to_bytes())
-    return install(path, robot, bundle.roles, now=now, **options)
 
 
 def receive(keystore, robot, now=LATER, **options):
@@ -283,7 +275,7 @@ def test_a_damaged_line_and_a_missing_file_are_told(keystore, robot):
         [line] = ledger.newest("receipt")
     damaged = replace(line, sha256="0" * 64, details={"statement": "{"})
     enter(keystore, [damaged])
-    with pytest.raises(KeystoreError, match="the receipt of /fleet/robot1 is damaged"):
+    with pytest.raises(KeystoreError, match="line on receipt /fleet/robot1 is damaged"):
         state(keystore)
     assert done
 

@@ -10,7 +10,7 @@ import pytest
 from pqsec_pki.algorithms import PROFILES, load_private_key, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.enrolment import Bundle, install, rollback
+from pqsec_pki.enrolment import Bundle, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.enrolment.receipt import read_receipts, receipt_of
@@ -19,11 +19,9 @@ from pqsec_pki.keystore import BundleNumbers, Keystore, Receipt
 from pqsec_pki.lifecycle import Renewal, Rollover, Scope, renew, revoke, sign_governance
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import Signer, sign
-from tests.unit.enrolling import DAY, ROBOT, answered, asked_of
+from tests.unit.enrolling import DAY, LATER, ROBOT, answered, asked_of, put
 from tests.unit.keystores import begin_overlap, cancel_overlap, made
 from tests.unit.killing import NOW, YEAR
-
-LATER = NOW + 2 * DAY
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +42,6 @@ def keystore(transition, place):
 @pytest.fixture
 def robot(transition, place):
     return shutil.copytree(transition[1], place / "robot", symlinks=True)
-
-
-def put(robot, bundle, now=LATER, **options):
-    path = robot.parent / f"{robot.name}.bundle"
-    path.write_bytes(bundle.to_bytes())
-    return install(path, robot, bundle.roles, now=now, **options)
 
 
 def receipts_on(robot):

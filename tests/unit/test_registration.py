@@ -461,6 +461,14 @@ def test_what_is_no_grant_or_order_is_malformed(data):
         EnrolmentOrder.from_file(data)
 
 
+def test_half_a_character_in_a_grant_is_malformed(line):
+    """It has no canonical form: `sign-request export` ended with a traceback."""
+    data = SignedGrant(line.add(), ()).to_file().replace(b'"5"', b'"\\ud800"')
+    assert b"ud800" in data
+    with pytest.raises(MalformedError, match="surrogates not allowed"):
+        SignedGrant.from_file(data)
+
+
 @pytest.mark.parametrize("rules", [5, None, "x", [], {"publish": 5}, {"publish": [None]}])
 def test_a_role_of_a_grant_that_is_none_is_refused(line, rules):
     value = {"domains": "0", "placeholders": [], "rules": rules}

@@ -70,6 +70,14 @@ def test_without_a_script_it_is_what_pqsec_exports(tmp_path, capfd):
     assert "pqsec: error:" in capfd.readouterr().err
 
 
+def test_the_export_runs_no_code_of_the_folder_where_it_starts(tmp_path, monkeypatch, capfd):
+    (tmp_path / "click.py").write_text("raise SystemExit(7)")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(PqsecError, match=r"pqsec export .* failed with exit code 3"):
+        secured_variables("/talker", options="-k 'no such'", present=PRESENT)
+    assert "pqsec: error:" in capfd.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("module", "needs"), [("launch", "ROS 2's launch"), ("command", "ROS 2's ros2cli")]
 )

@@ -17,26 +17,20 @@ from pqsec_pki.algorithms import is_encrypted, profile_named
 from pqsec_pki.certificates import verify_chain
 from pqsec_pki.errors import ExistsError
 from pqsec_pki.keystore import Keystore, audit
-from pqsec_pki.lifecycle import Rollover, Scope, adopt, change_passphrase, renew_list
-from pqsec_pki.lint import Severity, check
+from pqsec_pki.lifecycle import Rollover, Scope, adopt, change_passphrase
 from pqsec_pki.smime import verify
 from tests.unit import killing
 from tests.unit.keystores import rotate
-from tests.unit.killing import NOW, drafts, fails_with, issue_to, survives
+from tests.unit.killing import NOW, drafts, empty_list, fails_with, issue_to, survives
+from tests.unit.linting import check_nothing_broken
 from tests.unit.sros2_keystore import SROS2
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("links_count_too")]
 
 BOTH = ("/fleet/robot1", "/talker")
 SECRET = b"secret"
 RARELY = 5
 """What takes long is looked at after each so many calls, and a whole cycle is a hundred."""
-
-
-@pytest.fixture(autouse=True)
-def links_count_too(monkeypatch):
-    """Old keys are held by a link until they are overwritten."""
-    monkeypatch.setattr(killing, "CALLS", (*killing.CALLS, "link"))
 
 
 def rotate_in(root, profile=None, *, scope=Scope.BOTH, destroy=False):
@@ -45,11 +39,6 @@ def rotate_in(root, profile=None, *, scope=Scope.BOTH, destroy=False):
     profile = profile_named(profile) if profile else keystore.profile
     terms = Rollover(profile=profile, scope=scope, destroy=destroy)
     return rotate(keystore, terms, kept=kept, passphrase=None, now=NOW)
-
-
-def empty_list_in(root):
-    keystore = Keystore.open(root, to_change=True)
-    renew_list(keystore, keystore.unlock(None), now=NOW)
 
 
 def state_of(root, now=NOW):
@@ -81,16 +70,6 @@ def state_of(root, now=NOW):
     return [hashlib.sha256(der).hexdigest() for der in found]
 
 
-def check_nothing_broken(root):
-    """`pqsec check` has no error to tell of."""
-    assert [each for each in check([root], now=NOW).findings if _is_error(each)] == []
-
-
-def _is_error(finding):
-    """A draft that a kill left behind is half-made, and the next change sweeps it away."""
-    return finding.rule.severity is Severity.ERROR and "/.draft-" not in str(finding.path)
-
-
 @dataclass(frozen=True)
 class Scene:
     """Work on a keystore with /fleet/robot1 and /talker, prepared further by `before`."""
@@ -104,14 +83,14 @@ class Scene:
 
 
 SCENES = {
-    "both": Scene(rotate_in, empty_list_in, every=13),
+    "both": Scene(rotate_in, empty_list, every=13),
     "old keys destroyed": Scene(lambda root: rotate_in(root, destroy=True)),
     "to pq": Scene(lambda root: rotate_in(root, "pq")),
     "from pq to transition": Scene(
         lambda root: rotate_in(root, "transition"), lambda root: rotate_in(root, "pq")
     ),
     "the identity CA": Scene(
-        lambda root: rotate_in(root, scope=Scope.IDENTITY), empty_list_in, stays=1
+        lambda root: rotate_in(root, scope=Scope.IDENTITY), empty_list, stays=1
     ),
     "the permissions CA": Scene(lambda root: rotate_in(root, scope=Scope.PERMISSIONS), stays=1),
 }

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import re
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -10,15 +11,17 @@ from cryptography.hazmat.primitives.serialization import Encoding, pkcs7
 
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.enrolment import Bundle, pins_in_use, verify_bundle
-from tests.unit.serving import Robot, Server
+from pqsec_pki.server import read_settings
+from tests.unit.serving import HOST, Robot, Server
 
 PKCS10 = "application/pkcs10"
 
 
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
-    made = Server(tmp_path_factory.mktemp("serve"), datetime.now(UTC), renew="any-time")
-    with made.running():
+    folder = tmp_path_factory.mktemp("serve")
+    made = Server(folder, datetime.now(UTC), renew="any-time", robots=5)
+    with made.running(measured=True):
         yield made
 
 
@@ -49,6 +52,21 @@ def test_a_token_gives_a_whole_bundle_once(server, tmp_path):
         "GET", "/pqsec/v1/bundle", identity=identity, If_None_Match=got.headers["etag"]
     )
     assert (got.status, got.body) == (304, b"")
+
+
+def test_a_token_is_used_by_a_request_that_another_token_admitted_before(server, tmp_path):
+    """It never was: the ledger had one admission of a request, so each repetition issued again."""
+    robot, lines = Robot(server, tmp_path / "a", "/fleet/r4"), server.keystore.ledger
+    first, fleet = server.token("/fleet/r4"), server.token("/fleet/*")
+    assert server.ask(robot.request, token=first).status == 200
+    one = server.ask(robot.request, token=fleet)
+    before = len(lines())
+    again = server.ask(robot.request, token=fleet)
+    assert (one.status, again.status, len(lines())) == (200, 200, before)
+    assert one.headers["etag"] == again.headers["etag"]
+    assert server.ask(robot.request, token=first).headers["etag"] == one.headers["etag"]
+    other = server.ask(Robot(server, tmp_path / "b", "/fleet/r5").request, token=fleet)
+    assert (other.status, other.detail) == (401, "the enrolment token is used up")
 
 
 def test_est_gives_the_certificate_and_renews_it(server, tmp_path):
@@ -182,7 +200,7 @@ def asking(tmp_path_factory):
     made = Server(
         tmp_path_factory.mktemp("asking"), datetime.now(UTC), approval=True, limits=limits
     )
-    with made.running():
+    with made.running(measured=True):
         yield made
 
 
@@ -207,6 +225,11 @@ def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
     assert (waits["sha256"], waits["replaces"]) == (robot.request.fingerprint, False)
     assert asking.keystore.head == head
     assert decided(asking, "approve", robot.request) == [robot.request.fingerprint]
+    listed = json.loads(asking.cli("requests", "list", "--config", "serve.yaml", "--json").stdout)
+    [approved] = listed["approved"]
+    assert (listed["requests"], approved["sha256"]) == ([], robot.request.fingerprint)
+    told = asking.cli("requests", "list", "--config", "serve.yaml").stdout
+    assert re.search(r"no request waits\n\nNAME .* UNTIL\n/fleet/r1 ", told)
     replies = [asking.ask(robot.request) for _ in range(2)]
     assert [each.status for each in replies] == [200, 200]
     assert replies[0].headers["etag"] == replies[1].headers["etag"]
@@ -227,7 +250,7 @@ def test_a_request_without_a_token_waits_for_a_decision(asking, tmp_path):
     stays, other = others
     assert decided(asking, "approve", stays) == [stays.fingerprint]
     told = asking.cli("requests", "list", "--config", "serve.yaml").stdout
-    assert told == "no request waits\n"  # the other would replace what is approved
+    assert told.startswith("no request waits\n")  # the other would replace what is approved
     assert [asking.ask(each).status for each in (stays, other)] == [200, 202]
     assert decided(asking, "refuse", other) == [other.fingerprint]
     reply = asking.ask(other)
@@ -242,6 +265,32 @@ def test_an_old_approval_replaces_no_certificate_that_was_issued_since(asking, t
     assert asking.ask(robot.request, token=asking.token("/other")).status == 200
     reply = asking.ask(forgotten)
     assert (reply.status, "got a certificate since" in reply.detail) == (403, True)
+
+
+def test_a_robot_that_was_approved_too_late_is_told_how_to_ask_again(asking, tmp_path):
+    """Its operator read "send a new request", and each run of the command sent the old one."""
+    pins = [f"--server-pin={each}" for each in asking.pins()]
+    pins += asking.cli("ca", "show", "--pins").stdout.split()
+    url = f"https://{HOST}:{asking.port}"
+    line = ("enrol", url, "--name", "/other", "--profile", "pq", "--dir", tmp_path / "a", *pins)
+    assert asking.cli(*line, check=False).returncode == 3
+    first = waiting_request(asking)
+    assert decided(asking, "approve", first) == [first.fingerprint]
+    token = asking.token("/other", replaces=True)
+    assert asking.ask(Robot(asking, tmp_path / "b", "/other").request, token=token).status == 200
+    late = asking.cli(*line, "--wait", "1m", check=False)
+    assert (late.returncode, "got a certificate since the request" in late.stderr) == (1, True)
+    assert "`pqsec enrol --force` makes a new one" in late.stderr
+    assert asking.cli(*line, "--force", check=False).returncode == 3
+    decided(asking, "approve", waiting_request(asking))
+    assert "/other  has a new certificate" in asking.cli(*line, "--wait", "1m").stdout
+
+
+def waiting_request(server):
+    """The only one that waits for a decision about /other."""
+    waiting = read_settings(server.config).waiting
+    [waits] = [each for each in waiting.all() if each.name == "/other"]
+    return waiting.request(waits)
 
 
 def test_who_asks_most_keeps_nobody_out(asking, tmp_path):

@@ -1,5 +1,6 @@
 """`renew_expired`: a robot that was off past the end of its certificate renews, and no more."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
@@ -12,7 +13,8 @@ from pqsec_pki.est import KeyTerms, KnownServer, ServerTrust, renew
 from pqsec_pki.lifecycle import revoke
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.call_handling import CallHandler
-from pqsec_pki.server.waiting import PendingRequests
+from pqsec_pki.server.configuration import EnrolmentPolicy
+from pqsec_pki.server.waiting import WaitingRequests
 from tests.unit.domains import DAY, NOW, Scene
 from tests.unit.serving import HOST, Robot, Server
 
@@ -23,6 +25,9 @@ roles: {robot: {publish: [rt$name/pose]}}
 participants:
   - {name: "/r{1..2}", role: robot, request: requests/}
 """
+
+
+SECOND = timedelta(seconds=1)
 
 
 class Office(Scene):
@@ -45,18 +50,22 @@ class Office(Scene):
 
     def ask(self, kind, shown, body=b"", *, days=95, window=30 * DAY):
         """The answer so many days after the certificates began, of 90."""
+        handler = self.handler(days=days, window=window)
+        [answer] = handler.answers([SignerCall(kind=kind, certificate=shown.der, body=body)])
+        return answer.status, answer.detail
+
+    def handler(self, *, days=95, window=timedelta()):
+        """The handler of the server, so many days after the certificates began."""
         keystore = self.keystore
-        pending = PendingRequests(self.file.parent / "waiting", 9)
-        handler = CallHandler(
+        waiting = WaitingRequests(self.file.parent / "waiting", 9)
+        return CallHandler(
             keystore,
             keystore.unlock(None),
             read_domain(self.file),
             lambda: NOW + days * DAY,
-            pending,
-            renew_expired=window,
+            waiting,
+            EnrolmentPolicy(renew_expired=window),
         )
-        [answer] = handler.answers([SignerCall(kind=kind, certificate=shown.der, body=body)])
-        return answer.status, answer.detail
 
 
 @pytest.fixture
@@ -65,6 +74,29 @@ def office(tmp_path):
 
 
 EXPIRED = 403, "its certificate expired: it needs a new enrolment token"
+
+
+def test_a_certificate_counts_from_its_first_to_its_last_second(office):
+    shown, end = office.certificate(), office.certificate().not_after + 30 * DAY
+    call = SignerCall(kind=CallKind.REENROL, certificate=shown.der, body=office.new("r1").der)
+
+    def status(when):
+        handler = replace(office.handler(window=30 * DAY), clock=lambda: when)
+        [answer] = handler.answers([call])
+        return answer.status, answer.detail.partition(":")[0]
+
+    code, words = status(shown.not_before - SECOND)
+    assert (code, "is not valid before" in words) == (403, True)  # it said that it expired
+    assert status(end + SECOND) == (403, "its certificate expired")
+    assert status(shown.not_before) == (403, "its certificate is not due")
+    assert status(end) == (200, "")
+
+
+def test_a_renewal_gives_the_rights_that_the_domain_file_has_now(office):
+    office.file.write_text(FILE.replace("rt$name/pose", "rt$name/odom"))
+    shown, new = office.certificate(), office.new("r1").der
+    assert office.ask(CallKind.REQUEST, shown, new, days=80) == (200, "")
+    assert b"odom" in office.file_of("/r1", "permissions.p7s").read_bytes()
 
 
 @pytest.mark.parametrize("kind", [CallKind.REQUEST, CallKind.REENROL])
@@ -128,7 +160,7 @@ def test_a_robot_that_was_off_for_too_long_renews_over_tls(tmp_path):
     given = Bundle.of(server.keystore, ["/fleet/r1"], now=past, keys=False)
     install(given.to_bytes(), robot.root, pins_in_use(server.keystore), now=past)
     known = KnownServer(server=f"https://{HOST}:{server.port}", trust=ServerTrust(server.pins()))
-    with server.running():
+    with server.running(measured=True):
         [done] = renew(known, (), robot.root, KeyTerms(), clock=lambda: datetime.now(UTC))
     assert done.renewed
     assert done.certificate.not_after > datetime.now(UTC)

@@ -44,14 +44,12 @@ def maker():
 @pytest.fixture(scope="module")
 def server(maker, tmp_path_factory):
     folder = tmp_path_factory.mktemp("serve")
-    (folder / "acme.pem").write_bytes(maker.root)
-    for name, serials in {"root": (), "line": (7,)}.items():
-        (folder / f"{name}.crl").write_bytes(maker.revoked(name, *serials))
+    maker.put(folder, line=[7])
     acme = {"cas": "acme.pem", "revocation_lists": ["root.crl", "line.crl"]}
     bolt = {"cas": "acme.pem", "again": True}
     made = Server(folder, datetime.now(UTC), factories={"acme": acme, "bolt": bolt})
     (folder / "domain.yaml").write_text(domain())
-    with made.running():
+    with made.running(measured=True):
         yield made
 
 
@@ -116,7 +114,7 @@ REFUSED = {
     "expired": (403, "certificate has expired"),
     "not valid yet": (403, "certificate is not yet valid"),
     "revoked by the factory": (403, "was revoked on"),
-    "a CA": (403, "it is a CA's"),
+    "a CA": (403, "it is the certificate of a CA"),
     "may not sign": (403, "keyUsage lacks digitalSignature"),
     "for servers": (403, "extKeyUsage lacks clientAuth"),
     "not in the inventory": (403, "the domain file has another device for /fleet/r3"),

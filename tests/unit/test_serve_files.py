@@ -2,19 +2,23 @@
 
 import json
 import os
+import signal
+import socket
+import subprocess
+import time
 from datetime import UTC, datetime, timedelta
 
 import pytest
 
 from pqsec_pki.certificates import RevocationList
-from pqsec_pki.errors import FileError
+from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.server import read_settings
 from pqsec_pki.server.call import CallKind
 from pqsec_pki.server.list_keeping import keep_list
-from pqsec_pki.server.running import make_state
+from pqsec_pki.server.running import make_state, run_both
 from tests.unit.factory import Maker
 from tests.unit.keystores import DAY, NOW, made
-from tests.unit.serving import DOMAIN, Robot, Server
+from tests.unit.serving import DOMAIN, HOST, Robot, Server
 from tests.unit.test_serve_hostile import until
 
 INVENTORY = "name,idevid\n/fleet/c1,acme:serialNumber=SN-1\n/fleet/c2,acme:serialNumber=SN-2\n"
@@ -29,14 +33,12 @@ def maker():
 @pytest.fixture(scope="module")
 def server(maker, tmp_path_factory):
     folder = tmp_path_factory.mktemp("serve")
-    (folder / "acme.pem").write_bytes(maker.root)
-    for name in ("root", "line"):
-        (folder / f"{name}.crl").write_bytes(maker.revoked(name))
+    maker.put(folder)
     acme = {"cas": "acme.pem", "revocation_lists": ["root.crl", "line.crl"], "again": True}
     found = Server(folder, datetime.now(UTC), factories={"acme": acme}, revocation_list="365d")
     (folder / "robots.csv").write_text(INVENTORY)
     (folder / "domain.yaml").write_text(DOMAIN.format(profile="pq") + CSV)
-    with found.running():
+    with found.running(measured=True):
         yield found
 
 
@@ -139,3 +141,23 @@ def test_where_others_can_write_the_signer_does_not_listen(tmp_path, mode):
     assert refused.value.hint == f"chmod go-w {state}"
     state.chmod(0o750)
     make_state(settings)
+
+
+@pytest.fixture
+def signals():
+    """`run_both` takes SIGTERM, since its process ends with it."""
+    before = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, before)
+
+
+@pytest.mark.timeout(60)
+def test_a_server_that_cannot_listen_issues_no_list(tmp_path, signals):
+    """It issued one before it found its port taken, and ended without a word while it started."""
+    made = Server(tmp_path, datetime.now(UTC), "classical", revocation_list="365d")
+    with socket.create_server((HOST, made.status_port)):
+        done = subprocess.run(made.command, capture_output=True, text=True, check=False)
+        with pytest.raises(KeystoreError, match="faces the network ended with 3"):
+            run_both(read_settings(made.config), lambda _: time.sleep(60), lambda: NOW)
+    assert (done.returncode, "cannot listen at" in done.stderr) == (3, True)
+    assert "crl" not in {each.kind for each in made.keystore.ledger()}

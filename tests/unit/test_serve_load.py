@@ -4,7 +4,10 @@ In `.ci/long` with 10,000 connections, or as many as this machine lets a process
 """
 
 import resource
+import signal
 import time
+from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +16,8 @@ from socket import socket
 import pytest
 from OpenSSL import SSL
 
+from pqsec_pki.server.asking import MOST_OPEN
+from pqsec_pki.server.limiting import Shares
 from tests.longer import LONG
 from tests.unit.serving import HOST, Robot, Server, basic, received, reply_in
 from tests.unit.test_serve_hostile import counted, until
@@ -104,6 +109,36 @@ def test_who_is_refused_for_others_is_told_when_to_come_again(server):
                 stack.enter_context(each).sendall(RECEIPT + bytes(900_000))
             reply = reply_in(received(link))
     assert (reply.status, reply.headers["retry-after"]) == (503, "10")
+
+
+def test_of_what_waits_for_the_signer_each_address_has_its_turn():
+    waiting = Shares()
+    for each in ("a1", "a2", "a3", "b1", "c1", "b2"):
+        waiting.add(each[0], each)
+    told = [waiting.in_turn() for _ in range(4)]
+    waiting.add("c", "c2")
+    told += [waiting.in_turn() for _ in range(4)]
+    assert told == ["a1", "b1", "c1", "a2", "b2", "a3", "c2", None]
+
+
+def test_strangers_with_many_requests_keep_no_robot_from_the_signer(tmp_path):
+    """All that the signer could take was theirs, and until they had answers robots got 503."""
+    limits = {"connections_of_address": 300, "requests_of_address": 10_000}
+    server = Server(tmp_path, datetime.now(UTC), "classical", limits=limits)
+    robot, token, stranger = Robot(server, tmp_path / "r"), server.token("/fleet/r1"), "127.0.0.66"
+    ask = b"GET /pqsec/v1/bundle HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
+    with server.running(), ExitStack() as stack, ThreadPoolExecutor(1) as pool:
+        server.process.send_signal(signal.SIGSTOP)
+        links = [stack.enter_context(server.connect(source=stranger)) for _ in range(MOST_OPEN)]
+        for each in links:
+            each.sendall(ask)
+        waiting = f"pqsec_serve_waiting_calls {MOST_OPEN}\n"
+        until(lambda: waiting in server.page("/metrics", text=True))
+        asked = pool.submit(server.ask, robot.request, token=token)
+        until(lambda: asked.done() or counted(server, "status-503"))
+        server.process.send_signal(signal.SIGCONT)
+        assert asked.result().status == 200
+        assert Counter(reply_in(received(each)).status for each in links) == {401: 255, 503: 1}
 
 
 def test_an_answer_that_nobody_reads_is_not_in_memory_once_for_each(server):

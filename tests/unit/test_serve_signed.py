@@ -49,7 +49,7 @@ def clock():
 def server(tmp_path_factory):
     folder = tmp_path_factory.mktemp("signed")
     made = Server(folder, clock() - AGO, "hybrid", robots=6, renew="any-time")
-    with made.running():
+    with made.running(measured=True):
         yield made
 
 

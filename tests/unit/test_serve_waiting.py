@@ -1,14 +1,21 @@
 """The requests that wait: whose are given up when it is full, and what names one."""
 
+from dataclasses import replace
 from datetime import timedelta
+from pathlib import Path
 
 import pytest
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.enrolment import request
-from pqsec_pki.errors import MalformedError, UsageError
-from pqsec_pki.server.waiting import LIFETIME, PendingRequests
+from pqsec_pki.errors import FileError, MalformedError, UsageError
+from pqsec_pki.server import APPROVAL, ServerSettings, decide, open_approvals, waiting
+from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.configuration import EnrolmentPolicy
+from pqsec_pki.server.waiting import LIFETIME, WaitingRequests
+from tests.unit.domains import DAY
 from tests.unit.keystores import NOW
+from tests.unit.test_serve_expired import Office
 
 HOME, ENEMY = "192.0.2.1", "192.0.2.66"
 SECOND = timedelta(seconds=1)
@@ -26,15 +33,15 @@ class Asked:
     """Waiting requests, and a clock that goes on with each request."""
 
     def __init__(self, folder, most):
-        self.pending, self.now = PendingRequests(folder, most), NOW
+        self.waiting, self.now = WaitingRequests(folder, most), NOW
 
     def ask(self, made, address, name):
         self.now += SECOND
-        self.pending.add(made, name, address, self.now)
+        self.waiting.add(made, name, address, self.now)
 
     @property
     def there(self):
-        return [each.sha256 for each in self.pending.all()]
+        return [each.sha256 for each in self.waiting.all()]
 
 
 @pytest.fixture
@@ -74,7 +81,7 @@ def test_of_clients_with_one_request_each_who_asks_again_stays(asked, requests):
         asked.ask(each, f"192.0.2.{number + 10}", "/r")
         asked.ask(own, HOME, "/r")
     assert asked.there == prints([own, *others[-2:]])
-    before = asked.pending.all()[0]
+    before = asked.waiting.all()[0]
     assert (before.received, before.asked) == (NOW + 2 * SECOND, asked.now)
 
 
@@ -96,25 +103,79 @@ def test_who_asks_no_more_is_forgotten_after_a_month(asked, requests):
     assert asked.there == prints([stays, new])
 
 
+def test_an_approval_that_nobody_uses_ends(tmp_path):
+    """It never did: years later, whoever had the key got the certificate."""
+    office = Office(tmp_path)
+    made, other = office.new("r1"), office.new("r2")
+    state = {"url": "https://x", "path": tmp_path / "serve.yaml", "state": tmp_path, "tls": ()}
+    settings = ServerSettings(keystore=office.root, domain=office.file, **state)
+
+    def ask(made, day):
+        handler = replace(office.handler(days=day), policy=EnrolmentPolicy(approval=True))
+        [answer] = handler.answers([SignerCall(kind=CallKind.REQUEST, body=made.der)])
+        return answer.status, answer.detail
+
+    def approved(day):
+        with office.keystore.open_ledger() as ledger:
+            return [each.name for each in open_approvals(ledger, NOW + day * DAY)]
+
+    assert [ask(each, 0)[0] for each in (made, other)] == [202, 202]
+    ids = [made.fingerprint, other.fingerprint]
+    decide(office.keystore, settings, ids, APPROVAL, now=NOW)
+    assert approved(30) == ["/r1", "/r2"]
+    newer = office.new("r1")
+    assert ask(newer, 30)[0] == 202  # nobody approved it
+    assert ask(made, 30) == (200, "")
+    assert (approved(30), approved(30.1)) == (["/r2"], [])
+    assert ask(other, 30.1) == (403, "the approval of the request ended 2026-12-21 12:00 UTC")
+    assert ask(made, 60) == (200, "")
+    decide(office.keystore, settings, [newer.fingerprint], APPROVAL, now=NOW + 60 * DAY)
+    assert ask(newer, 60) == (200, "")
+    assert ask(made, 60) == (409, "this request was answered, and another since")
+
+
 def test_eight_digits_of_a_digest_name_nothing(asked, requests):
     asked.ask(requests[0], HOME, "/r")
     whole = requests[0].fingerprint
     with pytest.raises(UsageError, match="is too short"):
-        asked.pending.named(whole[:15])
-    assert asked.pending.named(whole[:16].upper()).sha256 == whole
+        asked.waiting.named(whole[:15])
+    assert asked.waiting.named(whole[:16].upper()).sha256 == whole
     with pytest.raises(UsageError, match="no waiting request begins with"):
-        asked.pending.named("0" * 16)
+        asked.waiting.named("0" * 16)
+
+
+def test_of_the_requests_that_wait_no_file_is_read_again(asked, requests, monkeypatch):
+    """Each request of a stranger read them all: with 500, half of the time that it took."""
+    for each in requests[:3]:
+        asked.ask(each, HOME, f"/{each.fingerprint}")
+    before = asked.waiting.all()
+    opened, counted = Path.open, []
+    monkeypatch.setattr(Path, "open", lambda *each: counted.append(each) or opened(*each))
+    assert asked.waiting.all() == before
+    asked.ask(requests[3], HOME, "/r")
+    assert counted == []
+    assert len(asked.waiting.all()) == 4
+    assert len(counted) == 1  # the new one
+
+
+def test_a_request_that_is_gone_waits_no_more_and_one_that_cannot_be_read_is_told(asked):
+    assert asked.waiting.all() == []
+    path = asked.waiting.folder / "0.request"
+    assert waiting._read(path) is None  # somebody just decided
+    path.mkdir(parents=True)
+    with pytest.raises(FileError, match=r"0\.request"):
+        asked.waiting.all()
 
 
 def test_a_file_with_another_request_than_its_name_says_is_refused(asked, requests):
     first, second = requests[:2]
     asked.ask(first, HOME, "/r")
-    [waits] = asked.pending.all()
-    assert asked.pending.request(waits).der == first.der
-    path = asked.pending.folder / f"{waits.sha256}.request"
+    [waits] = asked.waiting.all()
+    assert asked.waiting.request(waits).der == first.der
+    path = asked.waiting.folder / f"{waits.sha256}.request"
     path.write_bytes(waits.line + second.der)
-    with pytest.raises(MalformedError, match="another request than its name says"):
-        asked.pending.request(waits)
+    with pytest.raises(MalformedError, match="its name is not the SHA-256"):
+        asked.waiting.request(waits)
     path.write_bytes(b"{}\n")
     with pytest.raises(MalformedError, match="not a request that waits"):
-        asked.pending.all()
+        asked.waiting.all()

@@ -3,16 +3,17 @@
 import json
 import re
 import time
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
+import click
 import pytest
 
 import pqsec_pki
 from pqsec_pki._times import exact, rfc3339, said
 from pqsec_pki.cli._formats import as_csv
 from pqsec_pki.cli._printing import as_json, table
-from pqsec_pki.cli._settings import When
+from pqsec_pki.cli._settings import Duration, WaitingTime, When
 from pqsec_pki.cli._times import day, local
 
 ZONES = {
@@ -148,3 +149,16 @@ def test_only_these_modules_write_times():
         "plugin/notes.py",  # a line of a log
         "lint/enclaves/validity.py",  # what a document has, in UTC
     }
+
+
+@pytest.mark.parametrize(("text", "seconds"), [("90s", 90), ("5m", 300), ("2h", 7200)])
+def test_a_command_waits_also_for_minutes(text, seconds):
+    assert WaitingTime().convert(text, None, None) == timedelta(seconds=seconds)
+
+
+@pytest.mark.parametrize(
+    ("kind", "text", "instead"), [(Duration, "5m", "write 10y"), (WaitingTime, "1y", "write 90s")]
+)
+def test_a_validity_has_no_minutes_and_nobody_waits_for_years(kind, text, instead):
+    with pytest.raises(click.BadParameter, match=instead):
+        kind().convert(text, None, None)

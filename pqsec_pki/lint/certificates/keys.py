@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family, is_encrypted
 from pqsec_pki.credentials import KEYS
 from pqsec_pki.lint._keys import UNREADABLE, family_of, key_kind
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import KeyOrListFile
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
@@ -192,6 +192,6 @@ def empty_subject(file: CertificateFile) -> Iterator[Violation]:
     bad="$ openssl pkcs8 -topk8 -passout pass:secret -in k/enclaves/talker/key.pem -out key.pem",
     good="$ openssl pkcs8 -topk8 -nocrypt -in k/enclaves/talker/key.pem -out key.pem",
 )  # fmt: skip
-def encrypted_for_ros(file: File) -> Iterator[Violation]:
+def encrypted_for_ros(file: KeyOrListFile) -> Iterator[Violation]:
     if file.is_private_key and file.path.name in KEYS and is_encrypted(file.data):
         yield Violation("the participant's private key is encrypted, and ROS 2 cannot open it")

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from pqsec_pki._times import said
 from pqsec_pki.lint.certificates.validity import is_near
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import KeyOrListFile
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 
 _BAD_LIST = "CRL expired / wrong CA / bad signature"
@@ -25,7 +25,7 @@ NEW_LIST = "Issue a new revocation list (`pqsec ca crl`), and copy it to all par
     """,
     good="$ cp k/public/identity_ca.crl.pem crl.pem",
 )  # fmt: skip
-def unreadable(file: File) -> Iterator[Violation]:
+def unreadable(file: KeyOrListFile) -> Iterator[Violation]:
     if reason := file.revocation_list[1]:
         yield Violation(f"the revocation list in it cannot be read: {reason}")
 
@@ -43,7 +43,7 @@ def unreadable(file: File) -> Iterator[Violation]:
         # 40 days later
     """,
 )  # fmt: skip
-def expired(file: File) -> Iterator[Violation]:
+def expired(file: KeyOrListFile) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     if revoked and revoked.next_update and file.now > revoked.next_update:
         yield Violation(f"the revocation list expired on {said(revoked.next_update)}")
@@ -62,7 +62,7 @@ def expired(file: File) -> Iterator[Violation]:
         # 50 days later
     """,
 )  # fmt: skip
-def ends_soon(file: File) -> Iterator[Violation]:
+def ends_soon(file: KeyOrListFile) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     end = revoked.next_update if revoked else None
     if revoked and end and is_near(file.now, revoked.this_update, end):
@@ -83,7 +83,7 @@ def ends_soon(file: File) -> Iterator[Violation]:
         # 20 hours earlier
     """,
 )  # fmt: skip
-def not_yet(file: File) -> Iterator[Violation]:
+def not_yet(file: KeyOrListFile) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     if revoked and file.now < revoked.this_update:
         yield Violation(f"the revocation list is valid from {said(revoked.this_update)}")
@@ -100,7 +100,7 @@ def not_yet(file: File) -> Iterator[Violation]:
     """,
     good="$ pqsec -k k ca crl --out crl.pem --force",
 )  # fmt: skip
-def without_next_update(file: File) -> Iterator[Violation]:
+def without_next_update(file: KeyOrListFile) -> Iterator[Violation]:
     revoked = file.revocation_list[0]
     if revoked and revoked.next_update is None:
         yield Violation("the revocation list has no nextUpdate")
@@ -122,7 +122,7 @@ def without_next_update(file: File) -> Iterator[Violation]:
     """,
     good="$ cp k/public/identity_ca.cert.pem identity_ca.cert.pem",
 )  # fmt: skip
-def misplaced(file: File) -> Iterator[Violation]:
+def misplaced(file: KeyOrListFile) -> Iterator[Violation]:
     if file.is_revocation_list and "CERTIFICATE" in file.labels:
         yield Violation(
             "a revocation list among certificates: Fast DDS 3 enforces it, others do not"

@@ -3,11 +3,10 @@
 from collections.abc import Iterator
 
 from pqsec_pki.lint.permissions._names import parsed, repeated
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 
 ERROR = Severity.ERROR
-_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 
 @lint_rule(
@@ -15,7 +14,7 @@ _CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
     why="If a subject has two OUs, Cyclone DDS reads only the first, and Fast DDS 3 finds no"
     " grant.",
     fix="Issue the certificate with one of them. CN alone works with every stack.",
-    rows=("two OUs",), measured=f"{_CYCLONES}, Fast DDS 3.1.2, 3.6.2",
+    rows=("two OUs",), measured=f"{CYCLONES}, Fast DDS 3.1.2, 3.6.2",
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker/OU=Lab/OU=Robots -out cert.pem \
           -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem

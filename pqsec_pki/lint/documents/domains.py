@@ -4,13 +4,12 @@ from collections.abc import Iterator
 
 from pqsec_pki.documents import Node
 from pqsec_pki.lint.document import Document
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
 MAX_DOMAIN = 230
 _CYCLONE = Stack.CYCLONEDDS
-_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 
 def _number(node: Node | None) -> int | None:
@@ -26,7 +25,7 @@ def _number(node: Node | None) -> int | None:
     " OpenDDS and Connext read it as all domains from 0 on.",
     fix=f"Add <max>, at most {MAX_DOMAIN}.",
     rows=("id_range with only `<min>0` on domain 16",),
-    measured=f"{_CYCLONES}, Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    measured=f"{CYCLONES}, Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="""
         <domains>
           <id_range><min>0</min></id_range>
@@ -48,7 +47,7 @@ def open_range(document: Document) -> Iterator[Violation]:
     "PQS232", ERROR, "a range of domains without a start",
     why="Cyclone DDS does not read it as all domains up to <max>.",
     fix="Add <min>0</min>.",
-    stacks=(_CYCLONE,), rows=("id_range with only `<max>`",), measured=_CYCLONES,
+    stacks=(_CYCLONE,), rows=("id_range with only `<max>`",), measured=CYCLONES,
     bad="""
         <domains>
           <id_range><max>9</max></id_range>
@@ -70,7 +69,7 @@ def range_without_start(document: Document) -> Iterator[Violation]:
     "PQS233", ERROR, f"a domain above {MAX_DOMAIN}",
     why="Cyclone DDS refuses the whole document, because RTPS has no ports for such a domain.",
     fix=f"Use domains from 0 to {MAX_DOMAIN}.",
-    stacks=(_CYCLONE,), rows=("domain id/max 231, 232",), measured=_CYCLONES,
+    stacks=(_CYCLONE,), rows=("domain id/max 231, 232",), measured=CYCLONES,
     bad="<domains><id>231</id></domains>",
     good="<domains><id>230</id></domains>",
 )  # fmt: skip

@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.access import opendds_reads_beyond
 from pqsec_pki.lint.document import Document
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
@@ -17,7 +17,6 @@ _PATTERNS = ("topic", "topic_expression", "partition")
 # The expression starts at the last [ of each, so that the search takes linear time.
 _ODD_BRACKET = re.compile(r"\[(?:[!^]?\]|[^\[\]]*+(?:(?<=-)\]|\]-|\[[:.=]|\Z))")
 _CYCLONE, _OPENDDS = Stack.CYCLONEDDS, Stack.OPENDDS
-_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 
 @lint_rule(
@@ -41,7 +40,7 @@ def braces(document: Document) -> Iterator[Violation]:
     "PQS236", ERROR, "[^...] in a pattern",
     why="Cyclone DDS and OpenDDS do not read [^a] as 'any character except a'. Fast DDS does.",
     fix="Write [!a], which all stacks read in this way.",
-    stacks=(_CYCLONE, _OPENDDS), rows=("`[^A-C]`",), measured=f"{_CYCLONES}; OpenDDS by source",
+    stacks=(_CYCLONE, _OPENDDS), rows=("`[^A-C]`",), measured=f"{CYCLONES}; OpenDDS by source",
     bad="<topic>rt/[^a]*</topic>",
     good="<topic>rt/[!a]*</topic>",
 )  # fmt: skip

@@ -5,13 +5,11 @@ from itertools import pairwise
 
 from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.documents._elements import CHILDREN, NEW, SCHEMA_ATTRIBUTES
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
 _CYCLONE, _FAST = Stack.CYCLONEDDS, Stack.FASTDDS
-
-_ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2, all six"
 
 
 @lint_rule(
@@ -74,7 +72,7 @@ def out_of_order(document: Document) -> Iterator[Violation]:
     why="Every stack refuses the whole document, whether the element is a vendor's extension or a"
     " typing error.",
     fix="Remove the element, or spell it as in the schema.",
-    rows=("unknown/vendor element",), measured=_ALL_SIX,
+    rows=("unknown/vendor element",), measured=SIX_STACKS,
     bad="""
         <domains>
           <priority>1</priority>
@@ -101,7 +99,7 @@ def unknown_element(document: Document) -> Iterator[Violation]:
     " Connext 7.5 and later accept it.",
     fix="Remove the element, or use such a document only for participants with RTI Connext.",
     rows=("1.2 `enable_key_revision` / `rtps_psk_protection_kind` / allowed algorithms",),
-    measured=_ALL_SIX,
+    measured=SIX_STACKS,
     bad="""
         <rtps_protection_kind>SIGN</rtps_protection_kind>
         <enable_key_revision>true</enable_key_revision>

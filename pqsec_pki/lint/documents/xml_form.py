@@ -21,14 +21,12 @@ from pqsec_pki.lint.documents.xml_values import (
     spaces,
 )
 from pqsec_pki.lint.permissions.times import unreadable_time
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.problems import Code
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
 _CYCLONE, _FAST = Stack.CYCLONEDDS, Stack.FASTDDS
-
-_ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2, all six"
 
 
 @lint_rule(
@@ -37,7 +35,7 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     " pqsec also refuses a DOCTYPE, because entities can be used for attacks.",
     fix="Write it again with `pqsec governance render` or `pqsec permissions render`. Then sign it"
     " with `pqsec sign-governance` or `pqsec sign-permissions`.",
-    rows=("PEM or DER p7 instead of S/MIME",), measured=_ALL_SIX,
+    rows=("PEM or DER p7 instead of S/MIME",), measured=SIX_STACKS,
     bad="<default>DENY</defalt>",
     good="<default>DENY</default>",
 )  # fmt: skip
@@ -52,7 +50,7 @@ def cannot_be_read(document: Document) -> Iterator[Violation]:
     why="Each stack has its own parser. One may accept by chance what another refuses. Only a valid"
     " document means the same to all stacks.",
     fix="Correct what the message names. `pqsec validate` lists the errors that remain.",
-    rows=("missing liveliness element",), measured=_ALL_SIX,
+    rows=("missing liveliness element",), measured=SIX_STACKS,
     bad="<rtps_protection_kind>SIGNED</rtps_protection_kind>",
     good="<rtps_protection_kind>SIGN</rtps_protection_kind>",
 )  # fmt: skip
@@ -74,7 +72,7 @@ def breaks_schema(document: Document) -> Iterator[Violation]:
     " lower case and without a namespace. Cyclone DDS refuses a default xmlns; Fast DDS refuses"
     " upper case.",
     fix="Name the elements as in the standard, and remove xmlns=... from the root element.",
-    rows=("default xmlns", "upper-case tags"), measured=_ALL_SIX,
+    rows=("default xmlns", "upper-case tags"), measured=SIX_STACKS,
     bad="""
         <dds xmlns="urn:example">
           ...

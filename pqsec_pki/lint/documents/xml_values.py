@@ -4,12 +4,11 @@ from collections.abc import Iterator
 
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.documents._elements import BOOLEANS, KINDS, NAMES, NEEDED, WORDS
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
 _FAST, _OPENDDS = Stack.FASTDDS, Stack.OPENDDS
-_ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2, all six"
 
 
 @lint_rule(
@@ -17,7 +16,7 @@ _ALL_SIX = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1 and Fast DDS 2.9.1, 3.1.2, 3.6.2,
     why="The schema allows true, false, 1 and 0. All stacks measured accept 1 and TRUE, but they"
     " differ for other values.",
     fix="Write true or false.",
-    rows=("booleans TRUE/FALSE, 1/0",), measured=_ALL_SIX,
+    rows=("booleans TRUE/FALSE, 1/0",), measured=SIX_STACKS,
     bad="<enable_join_access_control>TRUE</enable_join_access_control>",
     good="<enable_join_access_control>true</enable_join_access_control>",
 )  # fmt: skip
@@ -49,7 +48,7 @@ def spaces(document: Document) -> Iterator[Violation]:
     why="No stack accepts `encrypt` for ENCRYPT. Cyclone DDS silently reads `deny` or `allow` in"
     " <default> as DENY; Fast DDS refuses both.",
     fix="Write the value in capitals.",
-    rows=("`encrypt` lower case", "`<default>` missing or lower case"), measured=_ALL_SIX,
+    rows=("`encrypt` lower case", "`<default>` missing or lower case"), measured=SIX_STACKS,
     bad="<default>deny</default>",
     good="<default>DENY</default>",
 )  # fmt: skip
@@ -63,7 +62,7 @@ def lower_case(document: Document) -> Iterator[Violation]:
     "PQS214", ERROR, "a data_protection_kind with origin authentication",
     why="data_protection_kind can be NONE, SIGN or ENCRYPT. Every stack refuses other values.",
     fix="Set the origin authentication in metadata_protection_kind.",
-    rows=("data_protection_kind …_WITH_ORIGIN_AUTHENTICATION",), measured=_ALL_SIX,
+    rows=("data_protection_kind …_WITH_ORIGIN_AUTHENTICATION",), measured=SIX_STACKS,
     bad="<data_protection_kind>ENCRYPT_WITH_ORIGIN_AUTHENTICATION</data_protection_kind>",
     good="<data_protection_kind>ENCRYPT</data_protection_kind>",
 )  # fmt: skip
@@ -161,7 +160,7 @@ def empty_expression(document: Document) -> Iterator[Violation]:
     why="No stack has a default for it: Cyclone DDS and Fast DDS refuse the document. Older"
     " templates of SROS2 lack enable_liveliness_protection.",
     fix="Add the element in its place.",
-    rows=("missing liveliness element",), measured=_ALL_SIX,
+    rows=("missing liveliness element",), measured=SIX_STACKS,
     bad="""
         <validity>
           <not_before>2026-05-01T00:00:00Z</not_before>

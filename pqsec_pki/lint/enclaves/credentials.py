@@ -191,7 +191,7 @@ def _intermediate(enclave: EnclaveFolder) -> Certificate | None:
     certificate, root = enclave.certificate(), enclave.certificate(IDENTITY_CA)
     if certificate is None or root is None:
         return None
-    file = enclave.inventory_files[enclave.files[IDENTITY_CA].path]
+    file = enclave.subjects[IDENTITY_CA]
     more = file.certificates[1:] if isinstance(file, CertificateFile) else ()
     above = (each for each in more if _is_issued_by(certificate, each))
     return next((each for each in above if _is_issued_by(each, root)), None)

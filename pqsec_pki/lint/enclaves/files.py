@@ -2,9 +2,9 @@
 
 from collections.abc import Iterator
 
-from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, KEY, PERMISSIONS, REQUEST
+from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, KEY, PERMISSIONS, REQUEST, SIX
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
-from pqsec_pki.lint.subjects import SIX, EnclaveFolder
+from pqsec_pki.lint.subjects import EnclaveFolder
 
 
 @lint_rule(

@@ -9,7 +9,6 @@ from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
 _NONE = ProtectionKind.NONE
-_CIPHER = {ProtectionKind.ENCRYPT, ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION}
 
 
 def _topics(document: GovernanceFile) -> Iterator[tuple[DomainRule, TopicRule]]:
@@ -132,7 +131,7 @@ def readable_topic(document: GovernanceFile) -> Iterator[Violation]:
         kinds = {topic.metadata_protection_kind, topic.data_protection_kind}
         whole = rule.rtps_protection_kind
         protected = not _is_open(topic) or whole is not _NONE
-        if protected and not (kinds | {whole}) & _CIPHER:
+        if protected and not any(kind.encrypts for kind in (*kinds, whole)):
             yield document.at(
                 topic.line, f"topics {topic.topic_expression!a} can be read by anyone"
             )

@@ -5,7 +5,7 @@ import stat
 from collections.abc import Iterator, Mapping
 
 from pqsec_pki.algorithms import is_encrypted
-from pqsec_pki.lint.file import File
+from pqsec_pki.lint.file import KeyOrListFile
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
@@ -24,7 +24,7 @@ PRIVATE, _PUBLIC = "private", "public"
     bad="$ chmod 644 k/enclaves/talker/key.pem",
     good="$ chmod 600 k/enclaves/talker/key.pem",
 )  # fmt: skip
-def readable_key(file: File) -> Iterator[Violation]:
+def readable_key(file: KeyOrListFile) -> Iterator[Violation]:
     if file.is_private_key and file.permission_bits & _OTHERS:
         yield Violation(f"a private key has mode {file.permission_bits:04o}; it must be 0600")
 
@@ -71,7 +71,7 @@ def ca_key_in_enclave(inventory: Inventory) -> Iterator[Violation]:
     bad="$ cp k/enclaves/talker/key.pem k/public/talker.key.pem",
     good="$ rm k/public/talker.key.pem",
 )  # fmt: skip
-def public_key_place(file: File) -> Iterator[Violation]:
+def public_key_place(file: KeyOrListFile) -> Iterator[Violation]:
     if not file.is_private_key:
         return
     if _PUBLIC in file.path.parts[-2:-1]:
@@ -105,7 +105,7 @@ def world_writable(inventory: Inventory) -> Iterator[Violation]:
     bad="$ cp k/enclaves/talker/key.pem k/enclaves/talker/key.pem.bak",
     good="$ shred -u k/enclaves/talker/key.pem.bak",
 )  # fmt: skip
-def forgotten_copy(file: File) -> Iterator[Violation]:
+def forgotten_copy(file: KeyOrListFile) -> Iterator[Violation]:
     if file.is_private_key and not _KEY_NAME.fullmatch(file.path.name):
         yield Violation("looks like a forgotten copy of a private key")
 
@@ -150,7 +150,7 @@ def open_ca_key(inventory: Inventory) -> Iterator[Violation]:
           -in k/enclaves/talker/key.pem -out key.pem
     """,
 )  # fmt: skip
-def weakly_encrypted(file: File) -> Iterator[Violation]:
+def weakly_encrypted(file: KeyOrListFile) -> Iterator[Violation]:
     if file.is_private_key and b"Proc-Type: 4,ENCRYPTED" in file.data:
         yield Violation("a private key in traditional PEM: its passphrase is easy to guess")
 

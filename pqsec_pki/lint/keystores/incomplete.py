@@ -51,12 +51,13 @@ def interrupted_change(inventory: Inventory) -> Iterator[Violation]:
     fix="Restore the ledger that fits. If it is lost, `pqsec log --verify` shows since when;"
     " `pqsec revoke --certificate FILE` revokes certificates that the ledger no longer has.",
     bad="""
-        $ cp -p k/private/ledger.sqlite3 older
+        $ mkdir ledgers
+        $ cp -p k/private/ledger.sqlite3 ledgers/older
         $ pqsec -k k issue /third --publish chatter
-        $ mv k/private/ledger.sqlite3 newer
-        $ mv older k/private/ledger.sqlite3
+        $ mv k/private/ledger.sqlite3 ledgers/newer
+        $ mv ledgers/older k/private/ledger.sqlite3
     """,
-    good="$ mv newer k/private/ledger.sqlite3",
+    good="$ mv ledgers/newer k/private/ledger.sqlite3",
 )  # fmt: skip
 def other_ledger(inventory: Inventory) -> Iterator[Violation]:
     if not inventory.keystore:

@@ -9,7 +9,7 @@ from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import CUTS, parsed
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.stacks import Stack
 
@@ -17,7 +17,6 @@ ERROR, WARNING, _ = Severity
 _SETS = "sets"
 """The folder of a robot's sets of credentials, `sets/<n>/enclaves/...`."""
 _CYCLONE = Stack.CYCLONEDDS
-_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +40,7 @@ class _NamePieces:
     stacks=(_CYCLONE,),
     rows=("**security**: identity CN=/robot presenting a document for CN=/robot/admin",
           "identity CN=/x/a, grant CN=/a/x", "superset (+`,L=Madrid`)"),
-    measured=_CYCLONES,
+    measured=CYCLONES,
     bad="$ pqsec -k k issue --publish chatter /talker/admin",
     good="""
         $ mv k/enclaves/talker/admin elsewhere/

@@ -3,17 +3,16 @@
 import re
 from collections.abc import Iterator
 
+from pqsec_pki.certificates import MAX_COMMON_NAME
 from pqsec_pki.documents import Grant, Subject
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import named, shown
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-MAX_COMMON_NAME = 64
 """X.520, ub-common-name."""
 _CYCLONE, _FAST, _OPENDDS = Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS
-_CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
 
 _WORDS = frozenset(
     ("CN", "C", "ST", "L", "O", "OU", "DC", "UID", "emailAddress", "serialNumber", "street",
@@ -54,7 +53,7 @@ def unknown_word(document: PermissionsFile) -> Iterator[Violation]:
     fix="Add a second grant with that spelling, or use only ASCII.",
     stacks=(_CYCLONE, _OPENDDS),
     rows=("UTF-8 value written raw", "… both as two grants"),
-    measured=f"{_CYCLONES}; OpenDDS 3.34, its access control run",
+    measured=f"{CYCLONES}; OpenDDS 3.34, its access control run",
     bad="<subject_name>CN=café</subject_name>",
     good="<subject_name>CN=coffee</subject_name>",
 )  # fmt: skip
@@ -97,7 +96,8 @@ def long_name(document: PermissionsFile) -> Iterator[Violation]:
         longest = max((len(v) for part in name for word, v in part if word == "CN"), default=0)
         if longest > MAX_COMMON_NAME:
             yield document.at(
-                grant.line, f"the common name has {longest} characters; at most 64 are allowed"
+                grant.line,
+                f"the common name has {longest} characters; at most {MAX_COMMON_NAME} are allowed",
             )
 
 

@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from pqsec_pki.algorithms import Family as Strength
 from pqsec_pki.certificates import Certificate, name_text
 from pqsec_pki.lint._keys import family_of
+from pqsec_pki.lint.document import same_lines
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.signed import DocumentAndSigners, broken_digests, embedded, is_by
 from pqsec_pki.lint.subjects import Inventory
@@ -116,10 +117,10 @@ def invalid_signature(inventory: Inventory) -> Iterator[Violation]:
 )  # fmt: skip
 def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
     files = {file.path: file for file in inventory.files}
-    for file in inventory.files:
+    for file in (each for each in inventory.files if each.is_signed):
         plain = files.get(file.path.with_suffix(".xml"))
-        text = file.signed_text[0] if file.is_signed and plain else None
-        if plain and text is not None and _lines(text) != _lines(plain.data):
+        text = file.signed_text[0] if plain else None
+        if plain and text is not None and not same_lines(text, plain.data):
             yield Violation(f"differs from {plain.path.name}", path=file.path)
 
 
@@ -154,7 +155,3 @@ def _known(document: DocumentAndSigners) -> str | None:
     ]
     named = (who for who, each in known for one in signers if is_by(one, each))
     return next(named, None)
-
-
-def _lines(text: bytes) -> list[bytes]:
-    return text.strip().splitlines()

@@ -271,7 +271,8 @@ def test_the_plugin_is_compiled_once(compiler, tmp_path, monkeypatch):
     with plugin() as again:
         assert again.folder == first.folder
         assert library.stat() == made
-    assert list(first.folder.parent.iterdir()) == [first.folder]
+    # Trials of `reports` may still run in threads, and compile their peers into this folder too.
+    assert list(first.folder.parent.glob("plugin-*")) == [first.folder]
 
 
 def _agents(parent: int) -> list[int]:

@@ -1,0 +1,89 @@
+"""The copy of a ledger in memory that this thread used last, kept for its next question.
+
+A change asks its ledger eight times, and a server makes one change after the other: most of its
+time went into reading the same lines again. A copy is used again only if nothing was changed.
+"""
+
+import os
+import sqlite3
+import threading
+import time
+from typing import NamedTuple
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.keystore import _lock
+
+_TICK, _LONG_TICK = 50_000_000, 3_000_000_000
+"""Nanoseconds. Times of files go in steps: of up to 10 ms, or of one or two seconds in some file
+systems. Of two changes within a step, the times of the file show only one."""
+_SECOND = 1_000_000_000
+
+
+class CopyKey(NamedTuple):
+    """What a copy is of."""
+
+    place: str
+    version: tuple[int, ...] = ()
+    """Of a file, as of `file_version`; empty for a place that is asked what is new."""
+    changed: int = 0
+    """When the file was changed last, in nanoseconds; 0 for such a place."""
+
+    def shows_changes_after(self, moment: int) -> bool:
+        """Whether any change after `moment` gives another key."""
+        tick = _TICK if self.changed % _SECOND else _LONG_TICK
+        return not self.changed or moment - self.changed > tick
+
+
+@dataclass(slots=True)
+class LedgerCopy:
+    """A database in memory with the lines of a ledger."""
+
+    database: sqlite3.Connection
+    key: CopyKey | None
+    """None if the copy is not used again."""
+    process: int
+    right_at: int
+    """When it had all lines, in nanoseconds: when it was read, or later, in a hold of the lock."""
+    hold: int = 0
+    """The hold of the keystore's lock in which it was used last; 0 for none."""
+
+    @classmethod
+    def new(cls, key: CopyKey | None) -> "LedgerCopy":
+        """An empty one."""
+        database = sqlite3.connect(":memory:", isolation_level=None)
+        return cls(database, key, os.getpid(), time.time_ns())
+
+    def has_all(self, key: CopyKey) -> bool:
+        """Whether it has what is at that place now, `key`."""
+        if self.key != key or self.process != os.getpid():
+            return False
+        excluded = self.hold and self.hold == _lock.hold_over(key.place)
+        return bool(excluded) or key.shows_changes_after(self.right_at)
+
+
+class _Copies(threading.local):
+    kept: LedgerCopy | None = None
+
+
+_copies = _Copies()
+
+
+def take(key: CopyKey | None) -> LedgerCopy | None:
+    """The copy with that key, which nobody else has then; None if there is none."""
+    kept = _copies.kept
+    if key is None or kept is None or not kept.has_all(key):
+        return None
+    _copies.kept = None
+    return kept
+
+
+def give_back(copy: LedgerCopy) -> None:
+    """Keep the copy, in place of the last one, or close it."""
+    if copy.key is None:
+        copy.database.close()
+        return
+    if hold := _lock.hold_over(copy.key.place):
+        copy.hold, copy.right_at = hold, time.time_ns()
+    if _copies.kept:
+        _copies.kept.database.close()
+    _copies.kept = copy

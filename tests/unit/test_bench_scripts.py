@@ -1,0 +1,34 @@
+"""What bench/ compares handshakes with runs, for each kind of key: nothing else runs it."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+BENCH = Path(__file__).parents[2] / "bench"
+ONE_ROUND = """
+from pqsec_pki.algorithms import KEY_AGREEMENTS, profile_named
+from pqsec_pki.benchmark import suites_of
+from suites import floor, handshake, participants
+for name in ("classical", "transition", "hybrid", "pq"):
+    [suite] = suites_of([profile_named(name)])
+    both = participants(suite)
+    for run in (handshake(both.initiator, both.responder, suite.agreement), floor(suite)):
+        spent = run()
+        print(suite.profile, spent.tries > 0, spent.rest > 0)
+"""
+
+
+@pytest.mark.timeout(120)
+def test_handshakes_and_their_floors_run_for_keys_of_each_kind():
+    done = subprocess.run(
+        [sys.executable, "-c", ONE_ROUND], cwd=BENCH, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    found = [line.split() for line in done.stdout.splitlines()]
+    assert found == [
+        [name, str(name != "classical"), "True"]
+        for name in ("classical", "transition", "hybrid", "pq")
+        for _ in range(2)
+    ]
