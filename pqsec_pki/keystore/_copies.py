@@ -50,8 +50,12 @@ class LedgerCopy:
     @classmethod
     def new(cls, key: CopyKey | None) -> "LedgerCopy":
         """An empty one."""
-        database = sqlite3.connect(":memory:", isolation_level=None)
+        database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         return cls(database, key, os.getpid(), time.time_ns())
+
+    def __del__(self) -> None:
+        """Close the database when its thread has ended, maybe from another thread."""
+        self.database.close()
 
     def has_all(self, key: CopyKey) -> bool:
         """Whether it has what is at that place now, `key`."""

@@ -1,6 +1,7 @@
 """A copy of a ledger in memory serves the next question, and never for other content."""
 
 import os
+import sqlite3
 import threading
 import time
 from datetime import timedelta
@@ -157,6 +158,21 @@ def test_each_thread_has_a_copy_of_its_own(keystore):
     thread.start()
     thread.join()
     assert found == [None]
+
+
+def test_the_copy_of_a_thread_that_has_ended_is_closed(keystore):
+    """Python 3.13 warns of a database that is dropped open."""
+    found = []
+
+    def used():
+        names(keystore)
+        found.append(_copies._copies.kept.database)
+
+    thread = threading.Thread(target=used)
+    thread.start()
+    thread.join()
+    with pytest.raises(sqlite3.ProgrammingError, match="closed"):
+        found[0].execute("SELECT 1")
 
 
 def test_whether_the_cas_are_those_of_the_ledger_is_known_by_few_lines(keystore, monkeypatch):
