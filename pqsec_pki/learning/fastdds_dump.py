@@ -87,7 +87,7 @@ class _Dump:
             for number, entity in self.of[kind].items():
                 try:
                     if found := self._endpoint(entity):
-                        yield entity["participant"], found
+                        yield str(entity["participant"]), found
                 except MalformedError as error:
                     raise MalformedError(f"{kind}, {shown(number)}: {error}") from error
 

@@ -1,5 +1,6 @@
 """Reads what was recorded in a domain, names the participants, and merges those of one name."""
 
+import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -125,7 +126,8 @@ def _left_out(participant: SeenParticipant) -> tuple[str, str] | None:
     """What the participant is called, and why nothing can be proposed for it."""
     name, label = participant.name, participant.label
     if not name:
-        way = f": name it with --name '{label}=/NAME'" if label else ""
+        # Whoever is on the network chooses its label, and people paste this into a shell.
+        way = f": name it with --name {shlex.quote(f'{label}=/NAME')}" if label else ""
         return label or "a participant", f"it has no enclave and no ROS 2 node{way}"
     if name.rpartition("/")[2].startswith("_"):
         return name, "it is a hidden node, as tools are"

@@ -2,6 +2,7 @@
 
 import json
 import re
+import shlex
 from pathlib import Path
 
 import pytest
@@ -177,6 +178,25 @@ def test_a_dump_that_is_not_complete_is_refused(tmp_path, name):
         changed(tmp_path, change)
 
 
+@pytest.mark.parametrize("number", [5, True, None, ["x"], {"a": 1}])
+def test_a_dump_whose_ids_are_not_texts_is_read_or_refused(tmp_path, number):
+    def change(dump):
+        with_("datawriters", participant=number)(dump)
+        dump["participants"][str(number)] = next(iter(dump["participants"].values()))
+
+    assert changed(tmp_path, change).participants
+
+
+def test_a_label_is_no_part_of_a_command_that_people_paste(tmp_path):
+    def change(dump):
+        with_("participants", name="x'; touch own; '", qos={})(dump)
+        dump["datareaders"].clear()
+
+    [why] = {each.reason for each in changed(tmp_path, change).left_out}
+    _, _, option = why.partition("--name ")
+    assert shlex.split(option) == ["x'; touch own; '=/NAME"]
+
+
 @pytest.mark.parametrize("text", ["{", "{}]", '{"a": 1}', "{" * 100_000, '{"a":' * 100_000])
 def test_json_that_is_no_dump_is_refused(tmp_path, text):
     with pytest.raises(
@@ -192,7 +212,7 @@ def test_partitions_and_participants_without_a_name():
     ]
     [lab] = found.left_out
     assert lab.what == "lab"
-    assert "--name 'lab=/NAME'" in lab.reason
+    assert "--name lab=/NAME" in lab.reason
     result = proposed(*found.participants)
     [rule] = result.proposals[0].grant.rules
     assert [(each.topics, each.partitions) for each in rule.publish] == [
