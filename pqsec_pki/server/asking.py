@@ -23,8 +23,8 @@ MOST_OPEN = 256
 """Calls that wait for the signer, here or there."""
 MOST_SENT = 128
 """Of these at the signer: those that it answers together now, and the next."""
-MOST_OCTETS = 16 << 20
-"""Of these calls."""
+_OCTETS = 64 << 10
+"""A call with a longer body counts as several: 16 receipts would else be all that may wait."""
 KEPT_SECONDS = 5.0
 """How long an answer that is the same for everybody is given again."""
 _SHARED = frozenset(
@@ -46,7 +46,7 @@ class SignerCalls:
 
     def __init__(self, reactor: Any, socket: Path) -> None:
         self._reactor, self._socket = reactor, str(socket)
-        self.open = self._octets = self._sent = 0
+        self.open = self._sent = 0
         self._waiting = Shares()
         self.trouble = ""
         """What the signer said last about its configuration."""
@@ -60,7 +60,6 @@ class SignerCalls:
                 then(answer)
                 return
         self.open += 1
-        self._octets += len(call.body)
 
         def finish(answer: SignerAnswer) -> None:
             self._end(asked)
@@ -71,22 +70,21 @@ class SignerCalls:
             then(answer)
 
         asked = _Factory(self._reactor, call, finish)
-        self._waiting.add(key_of(call.address), asked)
-        while self.open > MOST_OPEN or self._octets > MOST_OCTETS:
+        self._waiting.add(key_of(call.address), asked, asked.size)
+        while self._waiting.total + self._sent > MOST_OPEN:
             self._waiting.to_give_up().finish(_BUSY)
         self._send()
 
     def _send(self) -> None:
         while self._sent < MOST_SENT and (asked := self._waiting.in_turn()):
-            self._sent += 1
+            self._sent += asked.size
             asked.sent = True
             self._reactor.connectUNIX(self._socket, asked, timeout=5)
 
     def _end(self, asked: "_Factory") -> None:
         """It is answered: another one may be sent."""
         self.open -= 1
-        self._octets -= len(asked.call.body)
-        self._sent -= asked.sent
+        self._sent -= asked.size * asked.sent
         self._waiting.remove(key_of(asked.call.address), asked)
         self._send()
 
@@ -99,6 +97,7 @@ class _Factory(ClientFactory):
 
     def __init__(self, reactor: Any, call: SignerCall, then: Then) -> None:
         self.call, self._then = call, then
+        self.size = max(1, -(-len(call.body) // _OCTETS))
         self._limit: IDelayedCall = reactor.callLater(SECONDS, self.finish, _GONE)
 
     def finish(self, answer: SignerAnswer) -> None:
