@@ -68,7 +68,7 @@ def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:
     done = [each for each in found if not isinstance(each, PqsecError)]
     failed = [each for each in found if isinstance(each, PqsecError)]
     if done:
-        _send_receipt(folder)
+        _send_receipt(folder, done[0].name)
         lines = [
             f"{each.name}  {_words(each)}, until {end(each.certificate.not_after)}  {folder}"
             for each in done
@@ -92,11 +92,12 @@ class FailedError(PqsecError):
         return tuple(line for each in self.errors for line in each.lines)
 
 
-def _send_receipt(folder: Path) -> None:
+def _send_receipt(folder: Path, name: str) -> None:
+    """Send it as the participant `name`, which the server has just served."""
     from pqsec_pki.est import deliver_receipt  # noqa: PLC0415 -- a library of an extra
 
     try:
-        deliver_receipt(folder)
+        deliver_receipt(folder, name)
     except PqsecError as error:
         _printing.note(f"the server has no receipt yet; `pqsec renew --from` sends it: {error}")
 

@@ -26,8 +26,8 @@ def receipt() -> None:
     exit_codes={
         0: "recorded, now or earlier",
         1: (
-            "nothing is recorded: a signature is not valid, the certificate was not issued here or"
-            " is revoked, or a newer receipt is recorded"
+            "nothing is recorded: a signature is not valid, the certificate was not issued here, all"
+            " of a file are revoked, or a newer receipt is recorded"
         ),
         3: "a file cannot be read or is not a receipt, or the keystore cannot be changed",
     },
@@ -41,9 +41,9 @@ def import_(files: tuple[Path, ...], *, older: bool) -> None:
     """Record what robots run, from the receipts that `pqsec install` writes.
 
     FILE is DIR/installed.receipt of a robot. Each of its participants must have signed with all
-    keys of a certificate that this keystore issued to it and did not revoke; a certificate that
-    was renewed since shows that the robot is outdated. Receipts are recorded in the ledger, all
-    or none. Then `pqsec status` shows what each robot runs, and what it should run.
+    keys of a certificate that this keystore issued to it; a certificate that was renewed since
+    shows that the robot is outdated. Receipts are recorded in the ledger, all or none, but not
+    those of revoked certificates. Then `pqsec status` shows what each robot runs, and what it should run.
     """
     keystore = _settings.open_keystore(to_change=True)
     done = import_receipts(keystore, files, now=_settings.now(), older=older)
@@ -52,6 +52,8 @@ def import_(files: tuple[Path, ...], *, older: bool) -> None:
 
 def _line(each: ImportedReceipt) -> str:
     receipt = each.receipt
+    if each.revoked:
+        return f"{receipt.participant}  not recorded: its certificate was revoked  {each.path}"
     number = "without a number" if receipt.bundle is None else receipt.bundle
     word = "was recorded before" if each.already else "recorded"
     installed = f"installed {said(receipt.installed_at)}"

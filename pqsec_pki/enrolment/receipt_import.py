@@ -34,12 +34,15 @@ seem older."""
 
 @dataclass(frozen=True, slots=True)
 class ImportedReceipt:
-    """A receipt of one participant that is in the ledger now."""
+    """A receipt of one participant that is in the ledger now, or `revoked`."""
 
     receipt: Receipt
     path: Path
     already: bool
     """Whether it was recorded before, so that nothing was done."""
+    revoked: bool = False
+    """Whether it was not recorded: its certificate or key was revoked. The others of its file are
+    recorded, or a robot of several participants could tell nothing after one was revoked."""
 
     def to_json(self) -> dict[str, object]:
         """The receipt for --json."""
@@ -47,6 +50,7 @@ class ImportedReceipt:
             "name": self.receipt.participant,
             "file": self.path,
             "already": self.already,
+            "revoked": self.revoked,
             "bundle": self.receipt.bundle,
             "installed_at": self.receipt.installed_at,
             "made_at": self.receipt.made_at,
@@ -60,9 +64,10 @@ def import_receipts(
     """Enter the receipts in the files `paths` in the ledger, all or none, oldest first.
 
     VerificationError, with everything that is wrong, for a receipt whose signature is not valid,
-    or by a certificate that this keystore did not issue to that participant, that was revoked, or
-    whose key is compromised; for one from the future; and, unless `older`, for one that is not
-    newer than the newest recorded. MalformedError for a file that is not a receipt.
+    or by a certificate that this keystore did not issue to that participant; for one from the
+    future; and, unless `older`, for one that is not newer than the newest recorded. One whose
+    certificate was revoked, or whose key is compromised, is left out, and refused if its file has
+    no other. MalformedError for a file that is not a receipt.
     """
     return record_receipts(keystore, map(_file, paths), now=now, older=older)
 
@@ -80,7 +85,11 @@ def record_receipts(
         with keystore.open_ledger() as ledger:
             records = _Records.of(keystore, ledger)
         done, entries = [], []
+        kept = {path for path, signed in found if not records.is_revoked(signed)}
         for path, signed in found:
+            if path in kept and records.is_revoked(signed):
+                done.append(ImportedReceipt(signed.receipt, path, already=False, revoked=True))
+                continue
             already = signed.receipt.sha256 in records.recorded
             done.append(ImportedReceipt(signed.receipt, path, already))
             if already:
@@ -123,6 +132,12 @@ class _Records:
     def add(self, receipt: Receipt) -> None:
         self.recorded.add(receipt.sha256)
         self.newest[receipt.participant] = receipt.made_at
+
+    def is_revoked(self, signed: SignedReceipt) -> bool:
+        """Whether the certificate that signed was revoked, or its key as compromised."""
+        certificate = signed.certificate
+        keys = key_hashes(certificate.public_key, certificate.alternative_key).split()
+        return certificate.fingerprint in self.revoked or not self.compromised.isdisjoint(keys)
 
     def problems(self, signed: SignedReceipt, now: datetime, *, older: bool) -> Iterator[Problem]:
         receipt, certificate = signed.receipt, signed.certificate

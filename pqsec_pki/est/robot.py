@@ -122,18 +122,19 @@ def renew(  # noqa: PLR0913 -- by name
                 yield error
 
 
-def deliver_receipt(root: Path) -> None:
+def deliver_receipt(root: Path, name: str | None = None) -> None:
     """Send the receipt of what is installed to the server, unless it has it.
 
-    PqsecError as of `EstClient.post`.
+    It is sent with the certificate of the participant `name`, which the server should accept:
+    it refuses one that has expired or was revoked. PqsecError as of `EstClient.post`.
     """
     known = KnownServer.at(root)
     with changing(root) as store:
         data = read(store.receipt) if is_there(store.receipt) else b""
     sha256 = hashlib.sha256(data).hexdigest()
     if known and data and known.receipt != sha256:
-        files = next(iter(installed(root).values()))
-        client_with(known, files).post(RECEIPTS, data, RECEIPT_TYPE)
+        there = installed(root)
+        client_with(known, there[name or next(iter(there))]).post(RECEIPTS, data, RECEIPT_TYPE)
         known.with_receipt(sha256).save(root)
 
 

@@ -290,7 +290,7 @@ class CallHandler:
 
     def _receipt(self, name: str, body: bytes) -> SignerAnswer:
         take_receipts(self.keystore, name, body, now=self.clock())
-        return SignerAnswer(status=204, note=f"receipt of {name}")
+        return SignerAnswer(status=204, note=f"receipt, sent by {name}")
 
 
 def _decided(decide: Callable[[SignerCall], Decision], call: SignerCall) -> Decision | SignerAnswer:

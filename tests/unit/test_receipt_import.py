@@ -131,6 +131,18 @@ def test_a_revoked_robot_is_not_believed_and_should_run_nothing(keystore, robot)
     refused(keystore, robot, Code.REVOKED, now=NOW + 3 * DAY)
 
 
+def test_a_robot_with_one_revoked_participant_still_tells_what_the_others_run(keystore, place):
+    both = place / "both"
+    asked = [asked_of(keystore, both, name) for name in (ROBOT, "/fleet/other")]
+    put(both, answered(keystore, *asked))
+    revoke(keystore, keystore.unlock(None), [ROBOT], now=LATER)
+    other, left_out = receive(keystore, both)
+    assert (other.receipt.participant, other.revoked) == ("/fleet/other", False)
+    assert (left_out.receipt.participant, left_out.revoked) == (ROBOT, True)
+    assert state(keystore, "/fleet/other").runs
+    assert [each.name for each in keystore.ledger() if each.kind == "receipt"] == ["/fleet/other"]
+
+
 def put_again(robot, now):
     """The receipt that the robot makes of the same files at another time."""
     current = CredentialStore(robot).current

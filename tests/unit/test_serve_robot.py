@@ -19,8 +19,9 @@ from pqsec_pki.est import (
     renew,
 )
 from pqsec_pki.est.obtaining import installed
-from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.keystore import InstallState, Keystore, audit, robot_states, status
 from pqsec_pki.lifecycle import revoke
+from tests.running import clean_environment, run_here
 from tests.unit.killing import disturbed_calls, survives
 from tests.unit.serving import Server
 
@@ -80,6 +81,20 @@ def test_a_robot_lives_with_its_server(server, place):
     with pytest.raises(VerificationError, match="revoked"):
         renewed(place / "other")
     audit(server.keystore)
+
+
+def test_a_robot_sends_its_receipt_as_a_participant_that_is_not_revoked(server, place):
+    robot = place / "robot"
+    for name in (ROBOT, OTHER):
+        enrolled(server, server.token(name), robot, name)
+    keystore = Keystore.open(server.root, to_change=True)
+    revoke(keystore, keystore.unlock(None), [ROBOT], now=clock())
+    line = ["renew", "--from", KnownServer.at(robot).server, "--dir", "robot"]
+    code, _, said = run_here(line, cwd=place, env=clean_environment())
+    assert (code, "no receipt" in said) == (1, False)
+    assert REVOCATION_LIST in installed(robot)[OTHER]
+    states = robot_states(keystore, status(keystore, now=clock()).participants)
+    assert states[OTHER].state is InstallState.CURRENT
 
 
 def test_a_stolen_token_is_of_no_use_after_the_robot(server, place):
