@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.installed.data import made_here
+    from pqsec_pki.installed.data import kept_in, made_here
     from pqsec_pki.installed.program import Place, programs
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
-__all__ = ["Place", "made_here", "programs"]
+__all__ = ["Place", "kept_in", "made_here", "programs"]

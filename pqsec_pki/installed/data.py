@@ -5,8 +5,9 @@ from os.path import lexists
 from pathlib import Path
 from shlex import quote
 
-from pqsec_pki._files import disk_errors
+from pqsec_pki._files import disk_errors, exists, is_folder
 from pqsec_pki.enrolment import is_credential_store
+from pqsec_pki.errors import FileError
 from pqsec_pki.installed.program import Place
 from pqsec_pki.keystore import SETTINGS
 from pqsec_pki.plugin import AgentFolder, units_folder, written_units
@@ -18,11 +19,8 @@ _SERVICE = (Path("/etc/pqsec"), Path("/var/lib/pqsec"))
 """Of examples/operations: the passphrase, and the user's home."""
 
 
-def made_here(
-    environment: Mapping[str, str], plugin: Path, folders: Iterable[Path]
-) -> Iterator[Place]:
-    """The plugin in its folder, what a user's and the system's services have, the cache; and the
-    keystores and robots' credentials that are `folders`, or in them."""
+def made_here(environment: Mapping[str, str], plugin: Path) -> Iterator[Place]:
+    """The plugin in its folder, what a user's and the system's services have, and the cache."""
     yield from _plugins(plugin)
     agent = AgentFolder.of(environment).folder
     if lexists(agent):
@@ -36,8 +34,27 @@ def made_here(
         if lexists(folder):
             what = "cache" if folder not in _SERVICE else "service"
             yield Place(what, folder, f"rm -r {quote(str(folder))}")
-    for folder in dict.fromkeys(each.absolute() for each in folders):
-        yield from _kept(folder)
+
+
+def kept_in(folders: Iterable[Path]) -> tuple[list[Place], list[FileError]]:
+    """The keystores and robots' credentials that are `folders`, or in them; and what of the
+    latter cannot be looked into.
+
+    FileError for one of `folders` that cannot.
+    """
+    named = dict.fromkeys(each.absolute() for each in folders)
+    below: set[Path] = set()
+    for folder in named:
+        with disk_errors(folder):
+            below.update(each for each in folder.iterdir() if is_folder(each))
+    found = [place for folder in named for place in _kept(folder)]
+    closed: list[FileError] = []
+    for folder in sorted(below.difference(named)):
+        try:
+            found += _kept(folder)
+        except FileError as error:
+            closed.append(error)
+    return found, closed
 
 
 def _plugins(folder: Path) -> Iterator[Place]:
@@ -49,11 +66,7 @@ def _plugins(folder: Path) -> Iterator[Place]:
 
 
 def _kept(folder: Path) -> Iterator[Place]:
-    """Keystores and credentials: `folder`, and the folders in it."""
-    with disk_errors(folder):
-        below = sorted(each for each in folder.iterdir() if each.is_dir())
-    for each in (folder, *below):
-        if (each / SETTINGS).is_file():
-            yield Place("keystore", each, "removing it deletes the CA keys")
-        if is_credential_store(each):
-            yield Place("credentials", each, "removing it deletes the robot's keys")
+    if exists(folder / SETTINGS):
+        yield Place("keystore", folder, "removing it deletes the CA keys")
+    if is_credential_store(folder):
+        yield Place("credentials", folder, "removing it deletes the robot's keys")

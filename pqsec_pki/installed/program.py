@@ -1,6 +1,7 @@
 """The program on this machine: where it is, and what came with it."""
 
 import os
+import shutil
 import sys
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -8,7 +9,7 @@ from shlex import quote
 
 import pqsec_pki
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki._packages import extensions
 from pqsec_pki.plugin import home
 
@@ -52,9 +53,8 @@ def programs(environment: Mapping[str, str]) -> Iterator[Place]:
     """The program, commands on the search path, manual pages, completion, and extensions."""
     yield Place("program", Path(pqsec_pki.__file__).parent, _uninstalled_by(Path(sys.prefix)))
     for folder in dict.fromkeys(environment.get("PATH", "").split(os.pathsep)):
-        command = Path(folder, "pqsec")
-        if folder.startswith("/") and command.is_file():
-            yield Place("command", command, "with its program")
+        if folder.startswith("/") and (command := shutil.which("pqsec", path=folder)):
+            yield Place("command", Path(command), "with its program")
     shared = [Path(sys.prefix, "share"), *map(Path, _SHARED), home() / ".local/share"]
     for each in shared:
         manuals = each / "man" / "man1"
@@ -81,11 +81,11 @@ def _completion(environment: Mapping[str, str], shared: list[Path]) -> Iterator[
             yield Place("completion", path, _WITH_IT)
     settings = environment.get("XDG_CONFIG_HOME") or home() / ".config"
     fish = Path(settings, "fish/completions/pqsec.fish")
-    if fish.is_file():
+    if exists(fish):
         yield Place("completion", fish, f"rm {quote(str(fish))}")
     for name in _STARTED:
         path = home() / name
-        if path.is_file():
+        if exists(path):
             with disk_errors(path):
                 lines = read(path).splitlines()
             for number, line in enumerate(lines, 1):

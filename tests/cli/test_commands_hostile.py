@@ -31,7 +31,7 @@ VALUES = {
     "text": "141",
 }
 """What stands for an argument that is no file; files are there, and seldom the right kind."""
-STACKS = {"export": "cyclonedds", "try": "ros2"}
+CHOICES = {"export": "cyclonedds", "schema": "domain", "try": "ros2"}
 COMPANY = {
     "apply": "--yes --no-passphrase",
     "apply --passphrase-file": "--yes",
@@ -130,7 +130,7 @@ def line(words: str, opened: str, value: str) -> list[str]:
 
 def filler(words: str, argument: click.Parameter) -> str:
     if isinstance(argument.type, click.Choice):
-        return STACKS[words]
+        return CHOICES[words]
     return VALUES.get(str(argument.name), "k/enclaves/governance.xml")
 
 

@@ -87,6 +87,7 @@ def test_keystores_and_credentials_are_found_where_they_are_named(pqsec, home, t
         ("keystore", str(far)),
         ("credentials", str(tmp_path / "credentials")),
     }
+    assert pqsec("-k a/k uninstall --list a", **home).done().out.count(f" {tmp_path}/a/k ") == 1
     lines = pqsec("uninstall --list a", **home).done().out
     assert f"{tmp_path}/a/k" in lines
     assert "far" not in lines
@@ -107,13 +108,18 @@ def test_the_removal_is_that_of_who_installed(pqsec, home, monkeypatch, name, co
     (prefix / "share/man/man1/pqsec.1").touch()
     (prefix / name).touch()
     bin_.mkdir()
-    (bin_ / "pqsec").touch()
+    (bin_ / "pqsec").touch(0o755)
     monkeypatch.setattr(program.sys, "prefix", str(prefix))
     found = places(pqsec("uninstall --list --json", **home))
     [removed_by] = [each["removed_by"] for (what, _), each in found.items() if what == "program"]
     assert removed_by == command
     assert ("manual pages", str(prefix / "share/man/man1/pqsec*.1*")) in found
     assert ("command", str(bin_ / "pqsec")) in found
+
+
+def test_a_keystore_with_a_name_that_is_too_long_is_refused(pqsec, home):
+    """It ended with a traceback."""
+    pqsec(f"-k {'x' * 300} uninstall --list", **home).refused(3, "file name too long")
 
 
 def test_nothing_is_removed_without_list_either(pqsec, home):

@@ -222,6 +222,31 @@ def test_a_participant_whose_permissions_cannot_be_read_is_not_left_out(closed, 
     assert not wrong(as_nobody(line), "permissions.p7s")
 
 
+def test_what_is_on_a_machine_is_listed_without_folders_of_others(
+    closed, as_nobody, shared, monkeypatch
+):
+    """A folder on the search path, or beside a keystore, that is its owner's alone: a traceback."""
+    closed()
+    (shared / "closed").mkdir(0o700 if ROOT else 0o000)
+    for variable, folder in (("PATH", "closed"), ("HOME", "k")):
+        monkeypatch.setenv(variable, str(shared / folder))
+    said = as_nobody("uninstall --list")
+    assert said.code == 3
+    assert f"pqsec: note: not in the list: {shared}/closed/pqsec.json: permission" in said.err
+    assert "pqsec: error: the list is incomplete: a folder cannot be read" in said.err
+    assert f"keystore      {shared}/k " in said.out
+    as_nobody("uninstall --list closed").refused(3, "closed: permission denied")
+    as_nobody("-k closed/k uninstall --list").refused(3, "closed/k: permission denied")
+
+
+@pytest.mark.skipif(not ROOT, reason="only root can be kept out by another user")
+def test_a_home_that_is_closed_is_named(closed, as_nobody, shared, monkeypatch):
+    closed()
+    (shared / "home").mkdir(0o700)
+    monkeypatch.setenv("HOME", str(shared / "home"))
+    as_nobody("uninstall --list k").refused(3, "home/", "permission denied")
+
+
 def test_a_report_says_what_it_lacks(closed, as_nobody, run_in, shared):
     whole = closed()
     assert run_in(shared, "-k k report").code == 0  # the other user may not read the templates
