@@ -148,7 +148,7 @@ def _listed(
 
 
 def _sent(approval: Entry) -> tuple[str, str, str]:
-    return approval.name, approval.sha256, approval.details["address"]
+    return approval.name, approval.sha256, approval.details.get("address", "")
 
 
 def _approval(approval: Entry) -> dict[str, object]:

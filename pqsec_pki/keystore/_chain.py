@@ -9,6 +9,7 @@ import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
 from datetime import datetime
+from functools import lru_cache
 from typing import Self, TypeVar
 
 from pqsec_pki._dataclass import dataclass
@@ -75,12 +76,12 @@ class Entry:
     @property
     def made_at(self) -> datetime:
         """`at`, as a time. KeystoreError (as for the next three) if the line is damaged."""
-        return self._read(datetime.fromisoformat, self.at)
+        return self._read(time_in, self.at)
 
     @property
     def ends(self) -> datetime:
         """`not_after`, as a time."""
-        return self._read(datetime.fromisoformat, self.not_after)
+        return self._read(time_in, self.not_after)
 
     @property
     def serial_number(self) -> int:
@@ -110,6 +111,15 @@ def damaged_line(kind: str, name: str, why: str = "") -> KeystoreError:
         f"the ledger's line on {line} is damaged{f' ({why})' if why else ''}",
         hint="`pqsec log --verify` shows which lines were altered",
     )
+
+
+@lru_cache(maxsize=1024)  # one batch shares its times
+def time_in(text: str) -> datetime:
+    """The time in a line; ValueError if it is not one, or has no zone."""
+    found = datetime.fromisoformat(text)
+    if found.tzinfo is None:
+        raise ValueError("without a zone")
+    return found
 
 
 def _hexadecimal(text: str) -> int:

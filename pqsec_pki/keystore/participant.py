@@ -50,11 +50,11 @@ def _files(
         links = {each for each in known if is_link[each]}
         there = [each for each in known if each not in links or exists(folder / each)]
         _refuse_incomplete(folder, name, there, needed, links)
-        real, files = real_path(root), {}
+        real, files, shared = real_path(root), {}, links.difference(KEYS)
         for each in there:
             path = folder / each
             # Without pathlib: bundles are made of thousands of files.
-            goal = os.path.normpath(f"{folder}/{os.readlink(path)}") if each in links else ""  # noqa: PTH115
+            goal = os.path.normpath(f"{folder}/{os.readlink(path)}") if each in shared else ""  # noqa: PTH115
             data = linked.get(goal) or read_within(real, path, follow=each not in KEYS)
             files[each] = data
             if goal:

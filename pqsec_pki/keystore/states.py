@@ -7,11 +7,10 @@ parsed. Files are compared with the ledger only if asked for (`_file_comparison.
 from collections.abc import Callable, Collection, Iterator
 from datetime import datetime, timedelta
 from enum import StrEnum
-from functools import lru_cache
 from sys import intern
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.keystore._chain import damaged_line
+from pqsec_pki.keystore._chain import damaged_line, time_in
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
@@ -184,10 +183,6 @@ def _state(by_time: State, files: Files, *, revoked: bool, previous: bool) -> St
 
 def _times(name: str, *texts: str) -> list[datetime]:
     try:
-        return [_time(text) for text in texts]
+        return [time_in(text) for text in texts]
     except ValueError:
         raise damaged_line("participant", name) from None
-
-
-_time = lru_cache(maxsize=1024)(datetime.fromisoformat)
-"""Cached, because one batch shares its times."""

@@ -164,22 +164,16 @@ def _read(path: Path) -> WaitingRequest | None:
         try:
             with disk_errors(path):
                 found = path.stat()
-                line = _first_line(path, found.st_ino, found.st_size)
+                return _waiting(path, found.st_ino, found.st_mtime_ns)
         except FileError:
             if exists(path):
                 raise
             return None
-        return _waiting(line, path.stem, found.st_mtime_ns)
 
 
 @lru_cache(maxsize=_REMEMBERED)
-def _first_line(path: Path, _inode: int, _size: int) -> bytes:
-    """The first line of the file, which is replaced and never changed."""
+def _waiting(path: Path, _inode: int, asked: int) -> WaitingRequest:
+    """The request in the file, which is replaced and never changed; `asked` is in nanoseconds."""
     with path.open("rb") as file:
-        return file.readline(_LONGEST)
-
-
-@lru_cache(maxsize=_REMEMBERED)
-def _waiting(line: bytes, sha256: str, asked: int) -> WaitingRequest:
-    """The request with that first line; `asked` is a time in nanoseconds."""
-    return WaitingRequest.of(line, sha256, datetime.fromtimestamp(asked / 1e9, UTC))
+        line = file.readline(_LONGEST)
+    return WaitingRequest.of(line, path.stem, datetime.fromtimestamp(asked / 1e9, UTC))

@@ -447,8 +447,9 @@ def test_a_line_with_other_details_is_of_no_use(scene, details):
     assert {name for _, name in scene.steps()} == {"/r1", "/r2", "/r3"}
 
 
-def test_a_damaged_time_in_the_ledger_is_an_error_of_ours(scene):
-    alter(scene.root, "UPDATE ledger SET not_after = ? WHERE name = '/r1'", "next year")
+@pytest.mark.parametrize("time", ["next year", "2027-01-01", "2027-01-01T00:00:00"])
+def test_a_damaged_time_in_the_ledger_is_an_error_of_ours(scene, time):
+    alter(scene.root, "UPDATE ledger SET not_after = ? WHERE name = '/r1'", time)
     with pytest.raises(KeystoreError, match="line on participant /r1 is damaged"):
         scene.plan()
 

@@ -47,7 +47,7 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import Authorities, Keystore, audit
+from pqsec_pki.keystore import Authorities, Keystore, audit, enclave_files
 from pqsec_pki.lifecycle import ParticipantSpec, Renewal, issue, renew, revoke
 from tests.some_keys import some_key
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
@@ -675,6 +675,20 @@ def test_a_link_in_an_enclave_leads_no_file_of_others_into_a_bundle(tmp_path, fi
     inside.symlink_to(mine)
     with pytest.raises(FileError, match=r"leads out of|ymbolic link"):
         Bundle.of(keystore, ["/a"], now=NOW)
+
+
+def test_a_key_is_no_link_to_what_a_bundle_of_another_has(tmp_path):
+    """What the bundles of one batch share is read once, by where its links lead."""
+    keystore = made(tmp_path / "k", "classical", names=("/a", "/b"))
+    key = keystore.root / "enclaves/b/key.pem"
+    key.unlink()
+    key.symlink_to((keystore.root / "enclaves/a/governance.p7s").readlink())
+    linked = {}
+    enclave_files(keystore.root, "/a", linked)
+    with pytest.raises(FileError, match=r"key\.pem"):
+        enclave_files(keystore.root, "/b", linked)
+    with pytest.raises(FileError, match=r"key\.pem"):
+        enclave_files(keystore.root, "/b")
 
 
 def test_a_key_of_a_ca_is_in_no_bundle_though_a_link_shows_it(tmp_path):

@@ -158,6 +158,16 @@ def test_of_the_requests_that_wait_no_file_is_read_again(asked, requests, monkey
     assert len(counted) == 1  # the new one
 
 
+def test_a_request_that_came_again_from_elsewhere_is_shown_as_it_is(asked, requests):
+    """A new file may get the inode of one that was removed, and be as long."""
+    asked.ask(requests[0], HOME, "/r")
+    [path] = asked.waiting.folder.iterdir()
+    [waits] = asked.waiting.all()
+    again = replace(waits, address="192.0.2.7")
+    path.write_bytes(again.line + requests[0].der)
+    assert [each.address for each in asked.waiting.all()] == ["192.0.2.7"]
+
+
 def test_a_request_that_is_gone_waits_no_more_and_one_that_cannot_be_read_is_told(asked):
     assert asked.waiting.all() == []
     path = asked.waiting.folder / "0.request"
