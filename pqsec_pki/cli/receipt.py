@@ -26,8 +26,8 @@ def receipt() -> None:
     exit_codes={
         0: "recorded, now or earlier",
         1: (
-            "nothing is recorded: a signature is not valid, the certificate was not issued here, all"
-            " of a file are revoked, or a newer receipt is recorded"
+            "nothing is recorded: a signature is not valid, the certificate was not issued here,"
+            " all of a file are revoked, or a newer receipt is recorded"
         ),
         3: "a file cannot be read or is not a receipt, or the keystore cannot be changed",
     },
@@ -43,7 +43,8 @@ def import_(files: tuple[Path, ...], *, older: bool) -> None:
     FILE is DIR/installed.receipt of a robot. Each of its participants must have signed with all
     keys of a certificate that this keystore issued to it; a certificate that was renewed since
     shows that the robot is outdated. Receipts are recorded in the ledger, all or none, but not
-    those of revoked certificates. Then `pqsec status` shows what each robot runs, and what it should run.
+    those of revoked certificates. Then `pqsec status` shows what each robot runs, and what it
+    should run.
     """
     keystore = _settings.open_keystore(to_change=True)
     done = import_receipts(keystore, files, now=_settings.now(), older=older)
