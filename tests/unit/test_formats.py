@@ -25,8 +25,15 @@ def test_a_cell_that_a_spreadsheet_would_run_is_prefixed(begin):
     assert read([text, "second"]).startswith("'")
 
 
+@pytest.mark.parametrize("between", ["", '"', '""'])
+@pytest.mark.parametrize("begin", ["=", "+", "-", "@"])
+def test_a_cell_of_semicolons_begins_no_formula(between, begin):
+    """A spreadsheet of many countries separates cells by semicolons, and takes it for several."""
+    assert read(f"/a;{between}{begin}1;b") == f"/a;'{between}{begin}1;b"
+
+
 def test_other_cells_are_as_they_were():
-    for text in ("/talker", "a,b", 'say "=1"', "ü", "0-3", "", "' is kept"):
+    for text in ("/talker", "a,b", 'say "=1"', "ü", "0-3", "", "' is kept", "a; --yes", "a;b"):
         assert read(text) == text
 
 
