@@ -16,7 +16,8 @@ def right_lines(found: RightAnswer) -> Iterator[str]:
         for each in use.answers:
             yield from _use_lines(found.policy_input, use, each)
     if titles := found.different():
-        yield f"      not all of this is decided alike by {', '.join(titles)}: ask for one topic"
+        alone = "one topic" if len(found.uses) > 1 else "this participant alone"
+        yield f"      {', '.join(titles)}: decided differently, ask for {alone}"
 
 
 def _use_lines(policy_input: PolicyInput, use: Use, each: DomainsAnswer) -> Iterator[str]:

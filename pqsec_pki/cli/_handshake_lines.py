@@ -3,11 +3,15 @@
 from collections.abc import Iterator, Sequence
 
 from pqsec_pki.cli import _printing
+from pqsec_pki.documents import ros
 from pqsec_pki.selfcheck import HandshakeReport
 
 _MAX_LISTED = 6
 """The most topics, or domains, in a line."""
-_NO_TOPIC = "They share no topic: neither may subscribe to anything that the other may publish."
+_NO_TOPIC = (
+    "They share no topic: neither may subscribe to anything that the other may publish,"
+    f" {ros.DISCOVERY} aside."
+)
 
 
 def lines_of(report: HandshakeReport) -> list[str]:

@@ -90,8 +90,8 @@ def given_options() -> dict[str, str]:
     }
 
 
-def keystore_path(context: click.Context | None = None) -> Path:
-    """The path of the keystore. UsageError if none is named."""
+def keystore_path(context: click.Context | None = None, *, instead: str = "") -> Path:
+    """The path of the keystore. UsageError if none is named; its hint has also `instead`."""
     named = settings(context).keystore
     if named:
         return named
@@ -105,15 +105,18 @@ def keystore_path(context: click.Context | None = None) -> Path:
         "no keystore named",
         hint="the current folder is a keystore: use -k ."
         if is_here
-        else "name one: -k DIR, or set PQSEC_KEYSTORE",
+        else f"name one: -k DIR, or set PQSEC_KEYSTORE{instead and f'; or give {instead}'}",
     )
 
 
-def open_keystore(*, to_change: bool = False) -> "Keystore":
-    """Open the keystore; nothing in it is changed unless `to_change`."""
+def open_keystore(*, to_change: bool = False, instead: str = "") -> "Keystore":
+    """Open the keystore; nothing in it is changed unless `to_change`.
+
+    `instead` is what the command takes in place of a keystore.
+    """
     from pqsec_pki.keystore import Keystore  # noqa: PLC0415 -- it imports lxml and more
 
-    keystore = Keystore.open(keystore_path(), to_change=to_change)
+    keystore = Keystore.open(keystore_path(instead=instead), to_change=to_change)
     if click.get_current_context().meta.get(APPROVED):
         return replace(keystore, approved=True)
     return keystore

@@ -26,6 +26,7 @@ from pqsec_pki.lint import (
 from pqsec_pki.lint import check as check_all
 from pqsec_pki.stacks import Stack, stack_named
 
+_WORST = [Severity.ERROR, Severity.WARNING, Severity.INFO]
 _GROUPED = 2
 """Fewer equal findings after a first one are lines of their own."""
 _GITLAB = "gitlab"
@@ -215,10 +216,10 @@ def _grouped(findings: Sequence[Finding]) -> Iterator[str]:
 
 
 def _more(report: LintReport) -> list[str]:
-    """The commands that explain the first finding, and that list all."""
+    """The commands that explain the first of the worst findings, and that list all."""
     lines = [
         f"`pqsec check --explain {each.rule.id}` explains a finding, and how to fix it"
-        for each in report.findings[:1]
+        for each in sorted(report.findings, key=lambda each: _WORST.index(each.rule.severity))[:1]
     ]
     if len(list(_grouped(report.findings))) < len(report.findings):
         lines.append("`--format csv` lists each finding in a line")

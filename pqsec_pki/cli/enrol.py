@@ -149,7 +149,8 @@ def _asked(
         raise UsageError(f"the token is for {token.server}, not for {server}")
     known = name or (token.names if token and "*" not in token.names else None)
     if not known:
-        raise UsageError("no participant is named", hint="--name NAME")
+        of_token = f", one of the token's {token.names}" if token else ""
+        raise UsageError(f"no participant is named{of_token}", hint="--name NAME")
     return _Asked(
         token=token,
         server=server,

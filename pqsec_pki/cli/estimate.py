@@ -177,7 +177,7 @@ def _fleet(
         chosen = profile_named(profile or "pq")
         _refuse_second(chosen, version)
         return chosen.name, (sizes_of(chosen, version),)
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(instead="--participants COUNT")
     if profile and profile != keystore.profile.name:
         raise UsageError(
             f"the keystore has profile {keystore.profile.name}",
@@ -223,7 +223,7 @@ def _scenario_lines(profile: str, scenario: Scenario) -> Iterator[str]:
     yield ""
     yield f"handshakes      {scenario.pairs}"
     yield f"messages        {sizes} bytes in {frames} frames"
-    yield f"bytes           {megabytes:.4g} MB, {megabytes / count:.3g} of each participant"
+    yield f"bytes           {megabytes:.4g} MB, {megabytes / count:.3g} MB of each participant"
     yield f"processor       {scenario.busy:.3g} s of all cores of each host"
     yield f"                {scenario.costs.source}"
     yield f"reassembly      {scenario.in_reassembly} of {scenario.threshold} bytes in a host"

@@ -113,7 +113,8 @@ def revoke(  # noqa: PLR0913 -- one for each option, by name
     )
     if first:
         _printing.note(
-            "DDS stacks read crl.pem when a participant starts; OpenDDS does not read it"
+            "DDS stacks read crl.pem when a participant starts; OpenDDS does not read it. What was"
+            " exported before does not name it: export it again (not for ROS 2)"
         )
     if not all(each.listed for each in revoked):
         _printing.note(

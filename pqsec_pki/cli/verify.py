@@ -85,7 +85,7 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
 
 def _of_keystore(alt_ca: Path | None) -> tuple[TrustAnchors, dict[str, Path]]:
     """The keystore's CAs, and the files of those that sign documents."""
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore(instead="the signer's certificate: --ca FILE")
     anchors = keystore.anchors
     if alt_ca:
         anchors = replace(anchors, countersigner=load_certificate(alt_ca))

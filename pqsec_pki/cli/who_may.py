@@ -18,7 +18,7 @@ from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _ros_
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._who_may_forms import FORMS, flow_lines
 from pqsec_pki.documents import DomainSet, ros
-from pqsec_pki.errors import UsageError, meant
+from pqsec_pki.errors import MissingError, UsageError, meant
 from pqsec_pki.policy import (
     Fleet,
     WhoMay,
@@ -204,11 +204,15 @@ def _fleet(
     """The participants, with a note for each assumption and for each that is left out."""
     if governance and not paths:
         raise UsageError("--governance is for files: a keystore has its own governance")
-    fleet = (
-        fleet_of(paths, governance, now, interpretation)
-        if paths
-        else fleet_in(_settings.open_keystore(), now, interpretation)
-    )
+    try:
+        fleet = (
+            fleet_of(paths, governance, now, interpretation)
+            if paths
+            else fleet_in(_settings.open_keystore(), now, interpretation)
+        )
+    except MissingError as error:
+        error.hint = error.hint or "a topic is named with --topic or --ros-topic"
+        raise
     for text in fleet.notes:
         _printing.note(text)
     for name, reason in fleet.refused.items():

@@ -19,6 +19,10 @@ from pqsec_pki.keystore import PERMITTED, Files, Keystore, ParticipantState, Sta
 _NEVER = datetime.max.replace(tzinfo=UTC)
 _SLACK = timedelta(days=1)
 """SROS2 writes a certificate and its permissions seconds apart."""
+_READMIT = (
+    "remove it from the file, or run `pqsec issue {} --validity {} --force --after-revocation`, and"
+    " apply it again"
+)
 _ELSEWHERE = "has its key elsewhere"
 _OTHER_MACHINE = "its files are on another machine, and were not made from this file"
 _OTHER_KEY = "its request is for another key"
@@ -55,7 +59,7 @@ class Reconciler:
                 "move its folder out of enclaves/",
             )
         elif held is not None and held.revoked:
-            yield Blocked(member.name, "was revoked")
+            yield _revoked(member)
         elif held is not None and held.files is Files.ELSEWHERE:
             if held.config_digest != member.config_digest:
                 yield Blocked(member.name, _OTHER_MACHINE, "apply the file there")
@@ -201,3 +205,11 @@ def has_rights(
                 lasts = held.not_after - signed.not_after <= _SLACK
                 return same and lasts and signed.not_before <= now
     return False
+
+
+def _revoked(member: Member) -> Blocked:
+    if member.request:
+        return Blocked(member.name, "was revoked")
+    days, rest = divmod(member.validity, timedelta(days=1))
+    validity = f"{member.validity // timedelta(hours=1)}h" if rest else f"{days}d"
+    return Blocked(member.name, "was revoked", _READMIT.format(member.name, validity))

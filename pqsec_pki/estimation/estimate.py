@@ -93,7 +93,7 @@ class Estimate:
             return
         words = f"start the participants over {busy * 1.2:.0f} s: no message is then repeated"
         changed = replace(scenario, start_within=busy * 1.2)
-        yield Advice(f"{words} only because hosts are busy", ClosedForm.of(changed).mesh(0.5))
+        yield from self._if_faster(f"{words} only because hosts are busy", changed)
         changed = replace(scenario, cores=2 * scenario.cores)
         yield from self._if_faster(f"give each host {changed.cores} cores", changed)
 

@@ -77,23 +77,27 @@ def _overlap(keystore: Keystore, terms: Rollover, now: datetime) -> Overlap | No
     if terms.overlap in _PHASES:
         return Overlap.that_is(keystore, _PHASES[terms.overlap])
     refuse_overlap(keystore, "an overlap has begun already" if terms.overlap else WAIT)
-    if terms.overlap and (count := len(_revoked(keystore, now))):
+    if terms.overlap and (revoked := _revoked(keystore, now)):
+        names = ", ".join(sorted(set(revoked.values())))
         raise KeystoreError(
-            f"{count} revoked would be accepted again: participants that trust two CAs cannot"
-            " use a revocation list",
-            hint="rotate without --overlap, or wait until their certificates have expired",
+            f"{len(revoked)} revoked would be accepted again ({names}): participants that trust"
+            " two CAs cannot use a revocation list",
+            hint="rotate without --overlap, or wait until their certificates have expired:"
+            " `pqsec status --state revoked`",
         )
     return None
 
 
-def _revoked(keystore: Keystore, now: datetime) -> set[int]:
-    """Serial numbers of the identity CA's certificates that are revoked and not expired."""
+def _revoked(keystore: Keystore, now: datetime) -> dict[int, str]:
+    """The identity CA's certificates that are revoked and not expired: serial number, name."""
     issuer, found = keystore.identity_ca.fingerprint, keystore.revocation_list
     with keystore.open_ledger() as ledger:
         lines = [each for each in ledger.of_kind("revocation") if each.issuer == issuer]
     ended = {each.serial_number for each in lines if each.ends < now}
-    listed = {each.serial_number for each in found.revoked} if found else set()
-    return (listed | {each.serial_number for each in lines}) - ended
+    listed = [each.serial_number for each in found.revoked] if found else []
+    names = {number: f"serial {number:x}" for number in listed}
+    names |= {each.serial_number: each.name or f"serial {each.serial}" for each in lines}
+    return {number: name for number, name in names.items() if number not in ended}
 
 
 def _generation(keystore: Keystore) -> int:

@@ -167,7 +167,7 @@ def _kept(old: Profile, new: Profile, before: int, after: int) -> tuple[str, ...
     found = [f"certificates and documents keep {', '.join(weak)} keys"] if weak else []
     if before < after:
         found.append(f"traffic keeps NIST level {before} instead of {after}")
-    lost = [f"not true: {each.text}" for each in new.promises if not each.kept(old)]
+    lost = [f"not met: {each.text}" for each in new.promises if not each.kept(old)]
     return (*found, *lost)
 
 

@@ -18,17 +18,18 @@ _WITHOUT = {
     ENABLE: "nodes run unsecured, without a message",
     STRATEGY: "a node without its files runs unsecured, without a message",
 }
-_FIX = 'eval "$(pqsec export ros2 {})"'
+_FIX = 'eval "$(pqsec export ros2 {}{})"'
 
 
 def environment(
-    keystore: PurePath, participant: str, variables: Mapping[str, str]
+    keystore: PurePath, participant: str, variables: Mapping[str, str], *, plugin: bool = False
 ) -> Iterator[Check]:
     """A check of each ROS 2 variable about security, for that participant.
 
-    `keystore` is its absolute path.
+    `keystore` is its absolute path. `plugin`: the fix is an export with pqsec's plugin, because
+    stacks refuse its keys.
     """
-    fix = _FIX.format(participant)
+    fix = _FIX.format(participant, " --plugin" if plugin else "")
     for name, exact in SECURED.items():
         value = variables.get(name)
         problem = "" if value == exact else f"{_is(value, exact)}: {_WITHOUT[name]}"

@@ -29,6 +29,8 @@ NOTE = (
     "the process starts pqsec's agent, or finds a running one by XDG_RUNTIME_DIR;"
     " PQSEC_AGENT=private starts one for this process only"
 )
+WAY_OUT = " Or run pqsec's plugin in it: --plugin."
+"""Added to the fix of a finding that does not matter to our plugin."""
 _CRL, _PASSWORD = "org.eclipse.cyclonedds.sec.auth.crl", "dds.sec.auth.password"
 _ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
 

@@ -95,18 +95,23 @@ def preflight(
     """
     keystore.refuse_unknown(name)
     name = regular_name(name)
-    yield from environment(keystore.root.absolute(), name, variables)
-    yield from _ros2_plugin.loaded(variables, name)
+    options = Options(plugin=_ros2_plugin.folder_of(variables))
+    credentials: list[Check] = []
     try:
         _refuse_name(name)
         enclave = StackEnclave.find(keystore, name)
         needs = Needs.of(enclave)
+        files = Check(what="files")
+        credentials += _credentials(enclave, options, now)
     except PqsecError as error:
-        yield Check(what="files", problem=str(error), fix=error.hint or "")
-        return
-    yield Check(what="files")
-    yield from _credentials(enclave, Options(plugin=_ros2_plugin.folder_of(variables)), now)
-    yield from _life(needs, domain_in(variables))
+        files = Check(what="files", problem=str(error), fix=error.hint or "")
+    needs_plugin = any(each.fix.endswith(own_plugin.WAY_OUT) for each in credentials)
+    yield from environment(keystore.root.absolute(), name, variables, plugin=needs_plugin)
+    yield from _ros2_plugin.loaded(variables, name)
+    yield files
+    if files.ok:
+        yield from credentials
+        yield from _life(needs, domain_in(variables))
 
 
 def _refuse_name(name: str) -> None:
@@ -146,7 +151,7 @@ def _notes(enclave: StackEnclave, keystore: str, options: Options) -> Iterator[s
     if enclave.key_is_elsewhere:
         yield f"copy {SCRIPT} to its robot, which has its keys: `pqsec install` writes the others"
     elif options.at:
-        yield f"with -o DIR, copy what is in DIR to {keystore} there"
+        yield f"with -o DIR, copy what is in DIR (of several: in each DIR/NAME) to {keystore} there"
     if options.plugin:
         yield from _ros2_plugin.notes(options)
     elif enclave.has_large_handshake and options.environment.get(RMW) != CYCLONE:
@@ -169,7 +174,8 @@ def _credentials(enclave: StackEnclave, options: Options, now: datetime) -> Iter
     ]
     for each in errors:
         what = f"{each.path.name} ({each.rule.id})"
-        yield Check(what=what, problem=each.message, fix=each.rule.fix)
+        more = own_plugin.WAY_OUT if own_plugin.is_of_others(each) else ""
+        yield Check(what=what, problem=each.message, fix=each.rule.fix + more)
     if not errors:
         refusal = own_plugin.refusal(enclave, options, now)
         fix = refusal.hint or "" if refusal else ""

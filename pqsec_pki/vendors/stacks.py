@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import datetime
+from pathlib import Path
 
 from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
@@ -73,7 +74,7 @@ def _way_out(exporter: Exporter, errors: list[Finding]) -> str:
         return "`pqsec check` shows more"
     hint = errors[0].rule.fix
     if exporter.loads_ours and own_plugin.is_of_others(errors[0]):
-        hint += " Or run pqsec's plugin in it: --plugin."
+        hint += own_plugin.WAY_OUT
     return hint
 
 
@@ -90,7 +91,14 @@ def _refuse_place(exporter: Exporter, options: Options) -> None:
         )
     for each in places:
         if options.at and not each.is_absolute():
-            raise UsageError(f"{each}: not an absolute path", hint="as it is there")
+            raise _relative(each)
+
+
+def _relative(path: Path) -> UsageError:
+    return UsageError(
+        f"{path}: not an absolute path",
+        hint="with --at, name the plugin as it is on that machine: --plugins /DIR",
+    )
 
 
 def _refuse_token(exporter: Exporter, enclave: StackEnclave, options: Options) -> None:
@@ -122,7 +130,7 @@ def _refuse_plugin(exporter: Exporter, options: Options) -> None:
     preloads = exporter.stack is Stack.ROS2 and options.runs_in == FASTRTPS
     names = (PRELOAD,) if preloads else exporter.loads_ours
     if options.at and not options.plugin.is_absolute():
-        raise UsageError(f"{options.plugin}: not an absolute path", hint="as it is there")
+        raise _relative(options.plugin)
     if not options.at:  # another machine cannot be checked from here
         own_plugin.refuse_missing(options.plugin, names)
 

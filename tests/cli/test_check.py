@@ -75,6 +75,16 @@ def test_a_finding_is_told_with_file_line_severity_and_rule(pqsec, flawed):
     ]
 
 
+def test_the_worst_finding_is_the_one_to_read_about(pqsec, keystore, tmp_path):
+    keystore()
+    pqsec("-k k issue /listener --force --publish *").done()
+    (tmp_path / "k/enclaves/talker/permissions.p7s").unlink()
+    found = pqsec("-k k check --json").json["findings"]
+    worst = next(each["rule"] for each in found if each["severity"] == "error")
+    assert found[0]["severity"] != "error"
+    assert f"`pqsec check --explain {worst}` explains" in pqsec("-k k check").out
+
+
 def test_warnings_make_it_a_no_with_strict_only(pqsec, flawed):
     line = flawed()
     said = pqsec(f"check {PERMISSIONS}")

@@ -37,6 +37,7 @@ def test_revoke_tells_what_it_did(pqsec, k):
         r"list 1: 1 certificate, next due by \S+  k/public/identity_ca.crl.pem", second
     )
     assert "OpenDDS does not read it" in done.err
+    assert "exported before does not name it: export it again" in done.err.replace("\n", " ")
     done = pqsec(f"-k k revoke {number} /listener --yes --json").done()
     assert done.err == ""
     assert [each["before"] for each in done.json["revoked"]] == [True, False]

@@ -201,7 +201,9 @@ def test_what_makes_no_sense_is_a_wrong_command_line(pqsec, token, line):
 def test_a_token_for_several_needs_a_name(pqsec, token, tmp_path):
     value = json.loads(token.to_bytes())
     (tmp_path / "robot1.token").write_text(json.dumps({**value, "names": "/fleet/*"}))
-    pqsec("enrol --token-file robot1.token --dir r").refused(2, "no participant is named")
+    pqsec("enrol --token-file robot1.token --dir r").refused(
+        2, "no participant is named, one of the token's /fleet/*", hint="--name NAME"
+    )
     pqsec(f"enrol --token-file robot1.token --dir r --name {ROBOT}").done()
 
 

@@ -54,6 +54,15 @@ def test_an_empty_environment_would_run_it_unsecured(pqsec, shell):
     assert result.out.endswith('To fix it:\n  eval "$(pqsec export ros2 /talker)"\n')
 
 
+def test_keys_that_stacks_refuse_need_the_plugin_in_every_way_out(pqsec, keystore):
+    keystore(profile="pq")
+    pqsec("-k k issue /talker --force --ros-node /talker").done()
+    said = pqsec("-k k try ros2 /talker --dry-run").out
+    assert '  eval "$(pqsec export ros2 /talker --plugin)"\n' in said
+    assert 'export ros2 /talker)"' not in said
+    assert "Or run pqsec's plugin in it: --plugin." in said
+
+
 def test_one_letter_makes_the_difference(pqsec, shell):
     result = pqsec("-k k --json try ros2 /talker --dry-run", **shell | {"ROS_SECURITY_ENABLE": "1"})
     assert result.code == 1

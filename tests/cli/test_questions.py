@@ -40,6 +40,10 @@ DOT_LINE = re.compile(
 )
 
 
+def test_a_topic_where_a_path_belongs_is_told_its_option(pqsec):
+    pqsec("who-may /cmd_vel").refused(3, "/cmd_vel: no such file", hint="--topic or --ros-topic")
+
+
 def grant(*rules, subject="CN=/robot", days=300):
     return Grant(
         name="g",

@@ -382,7 +382,7 @@ def test_files_that_cannot_be_read_are_errors_and_not_a_no(pqsec, keystore, tmp_
     pqsec("-k k verify k").refused(2, "is a directory")
     (tmp_path / "huge.p7s").write_bytes(b"x" * (9 << 20))
     pqsec("-k k verify huge.p7s").refused(3, "huge.p7s: larger than")
-    pqsec(f"verify {GOVERNANCE}").refused(2, "no keystore named")
+    pqsec(f"verify {GOVERNANCE}").refused(2, "no keystore named", hint="certificate: --ca FILE")
     pqsec("-k k verify").refused(2, "FILE")
 
 

@@ -376,7 +376,7 @@ def test_who_is_revoked_is_not_let_in_again_by_an_overlap(keystore, lost):
     if lost:
         (keystore.root / "public/identity_ca.crl.pem").unlink()
     before = snapshot(keystore.root)
-    with pytest.raises(KeystoreError, match="1 revoked would be accepted again"):
+    with pytest.raises(KeystoreError, match=r"1 revoked would be accepted again \((/|serial)"):
         begin(keystore)
     assert snapshot(keystore.root) == before
 
@@ -388,7 +388,7 @@ def test_who_is_revoked_in_the_list_alone_is_not_let_in_again_either(keystore):
         keystore.unlock(None).identity, [revoked], number=1, now=NOW, validity=90 * DAY
     )
     (keystore.root / "public/identity_ca.crl.pem").write_bytes(made.pem)
-    with pytest.raises(KeystoreError, match="1 revoked would be accepted again"):
+    with pytest.raises(KeystoreError, match=r"1 revoked would be accepted again \((/|serial)"):
         begin(keystore)
 
 
