@@ -82,17 +82,14 @@ class LimitedChannel(HTTPChannel):
     maxHeaders = MOST_HEADERS  # noqa: N815
     totalHeadersSize = MOST_OCTETS  # noqa: N815
     factory: "Channels"
+    address = ""
+    """The client's address, which behind a balancer is not that of the connection."""
     _deadline: IDelayedCall | None = None
 
     @property
     def path(self) -> bytes:
         """The path of the request whose header was read last."""
         return bytes(self._path)
-
-    @property
-    def address(self) -> str:
-        """The client's address."""
-        return str(getattr(self.transport.getPeer(), "host", ""))
 
     def most(self, path: bytes) -> int:
         """The greatest length of a body that is sent to that path."""
@@ -211,6 +208,12 @@ class Channels(HTTPFactory):
         self.connections, self.kept = connections, Shares()
         self.most, self.answer, self.count = most, answer, count
 
+    def buildProtocol(self, addr: IAddress | None) -> Protocol | None:  # noqa: N802
+        """The channel of a client with that address."""
+        made = super().buildProtocol(addr)
+        made.address = str(getattr(addr, "host", ""))
+        return made
+
     def keep(self, key: str, request: LimitedRequest, octets: int) -> None:
         """Count octets of an incomplete request; if all have too many, refuse one of them."""
         self.kept.add(key, request, octets)
@@ -231,26 +234,29 @@ class TlsChannels(TLSMemoryBIOFactory):
         reactor: Any,
     ) -> None:
         self._connections, self._count = channels.connections, channels.count
+        self.channels = channels
         super().__init__(_Contexts(context), isClient=False, wrappedFactory=channels, clock=reactor)
 
     def buildProtocol(self, addr: IAddress | None) -> Protocol | None:  # noqa: N802
         """The connection's protocol; None closes it."""
         address = key_of(str(getattr(addr, "host", "")))
-        if not (self._connections.admits(address) and self._has_room()):
+        if not self._connections.admits(address):
             self._count("too-many")
+            return None
+        if not self.has_room():
             return None
         self._count("connections")
         made = super().buildProtocol(addr)
         self._connections.opened(made, address)
         return made
 
-    def _has_room(self) -> bool:
+    def has_room(self) -> bool:
         """Whether one more may be open, after one was closed for it if need be."""
         if self._connections.total < self._connections.limits.connections:
             return True
         found = self._connections.to_close()
+        self._count("too-many" if found is None else "closed-for-others")
         if found is not None:
-            self._count("closed-for-others")
             found.abortConnection()
         return found is not None
 

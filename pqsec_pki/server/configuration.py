@@ -37,6 +37,7 @@ from pqsec_pki.documents.parts_yaml import (
 from pqsec_pki.domain import FACTORY
 from pqsec_pki.errors import located, shown
 from pqsec_pki.est import checked_url
+from pqsec_pki.server.addresses import Network, network
 from pqsec_pki.server.waiting import WaitingRequests
 
 _ADDRESS = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9a-zA-Z.-]+):([0-9]{1,5})")
@@ -104,6 +105,8 @@ class ServerSettings:
     path: Path
     url: str
     listen: tuple[tuple[str, int], ...] = (("127.0.0.1", 8443),)
+    proxy_from: tuple[Network, ...] = ()
+    """Balancers: whose connection it is, says a PROXY header, which is read from these alone."""
     status: tuple[str, int] | None = None
     """Where health and metrics are served, without TLS: an address of this machine."""
     keystore: Path
@@ -152,6 +155,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
     readers: Readers = {
         "url": _url,
         "listen": partial(one_or_more, reader=_address),
+        "proxy_from": partial(one_or_more, reader=_network),
         "status": _address,
         "keystore": file,
         "domain": file,
@@ -229,3 +233,11 @@ def _address(item: Item) -> tuple[str, int]:
     if not found or not 0 < int(found[2]) <= _LAST_PORT:
         raise refused(item, "write ADDRESS:PORT, as 127.0.0.1:8443 or [::1]:8443")
     return found[1].strip("[]"), int(found[2])
+
+
+def _network(item: Item) -> Network:
+    try:
+        return network(text(item))
+    except ValueError:
+        words = "write the address or the network of a balancer, as 192.0.2.10 or 2001:db8::/64"
+        raise refused(item, words) from None

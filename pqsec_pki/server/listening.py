@@ -15,6 +15,7 @@ from pqsec_pki._files import read
 from pqsec_pki.errors import PqsecError, located
 from pqsec_pki.est import TlsIdentity, server_context
 from pqsec_pki.server.asking import SignerCalls
+from pqsec_pki.server.balancing import ClientsOfBalancers
 from pqsec_pki.server.channel import Channels, TlsChannels
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.events import log
@@ -55,6 +56,8 @@ class Listening:
             answer=self.front.answer,
             count=self.front.count,
         )
+        tls = TlsChannels(lambda: self._context, self._channels, reactor)
+        self._clients = ClientsOfBalancers(tls, settings.proxy_from, log)
         self._ports: list[Any] = []
 
     def run(self) -> None:
@@ -62,11 +65,10 @@ class Listening:
         settings = self._settings
         _raise_file_limit(settings.limits.connections)
         globalLogBeginner.beginLoggingTo([_observe], redirectStandardIO=False, discardBuffer=True)
-        tls = TlsChannels(lambda: self._context, self._channels, reactor)
         sockets = given_sockets(os.environ) or [bound(each) for each in settings.listen]
         addresses = [_address(each) for each in sockets]
         for each in sockets:
-            self._ports.append(_adopted(each, tls))
+            self._ports.append(_adopted(each, self._clients))
         if settings.status:
             pages = StatusPages(self.front, self.connections)
             self._ports.append(_adopted(bound(settings.status), pages))
@@ -94,6 +96,7 @@ class Listening:
         self._channels.seconds = found.limits.seconds
         self._channels.classical = found.classical
         self._channels.buffered = found.limits.buffered
+        self._clients.networks = found.proxy_from
         self.connections.use(found.limits)
         log({"event": "the configuration was read again"})
 

@@ -13,6 +13,7 @@ from contextlib import suppress
 from functools import cache, lru_cache, partial
 from http.client import HTTPResponse
 from io import BytesIO
+from ipaddress import ip_address
 from pathlib import Path
 
 from cryptography import x509
@@ -51,6 +52,7 @@ from pqsec_pki.server.channel import Channels
 from pqsec_pki.server.configuration import EnrolmentPolicy, ServerLimits
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
+from pqsec_pki.server.proxy_header import MOST_OCTETS, ProxyHeader
 from pqsec_pki.server.token_lines import record_token
 from pqsec_pki.server.waiting import WaitingRequests
 from tests.fuzz import mutation
@@ -403,6 +405,40 @@ HEADERS = [
 ]
 
 
+# PROXY headers of balancers
+
+
+def proxy_headers():
+    begin, ports = b"\r\n\r\n\0\r\nQUIT\n", b"\xc8\x22\x20\xfb"
+    return [
+        b"PROXY TCP4 192.0.2.17 198.51.100.1 51234 8443\r\n\x16",
+        b"PROXY TCP6 2001:db8::17 ::ffff:192.0.2.1 51234 8443\r\n",
+        b"PROXY UNKNOWN ffff::1 ffff::2 1 2\r\n",
+        begin + b"\x21\x11\0\x13" + bytes(range(8)) + ports + b"\x04\0\x04abcd\x16",
+        begin + b"\x21\x21\0\x24" + bytes(range(32)) + ports,
+        begin + b"\x21\x31\0\xd8" + bytes(216),
+        begin + b"\x20\0\0\0",
+    ]
+
+
+def take_proxy_header(data):
+    """A header is what it is with less behind it, and none with an octet less."""
+    found = ProxyHeader.of(data)
+    if found is None:
+        assert len(data) < MOST_OCTETS
+        raise MalformedError("more is to come")
+    assert ProxyHeader.of(data[: found.length]) == found
+    assert ProxyHeader.of(data[: found.length - 1]) is None
+    if found.client:
+        assert str(ip_address(found.client)) == found.client
+    return found
+
+
+def spoilt_proxy_header(data, _rng, spoil):
+    """As the octets are: it has no check sum, and fields at fixed places."""
+    return spoil(data)
+
+
 # Answers of a server, at a robot
 
 
@@ -450,6 +486,7 @@ TARGETS = {
     "http": (take_http, http_requests, spoilt_http),
     "http-answer": (take_real_answer, http_answers, spoilt_http),
     "est": (take_est, est_bodies, spoilt_est),
+    "proxy-header": (take_proxy_header, proxy_headers, spoilt_proxy_header),
     "signer-call": (take_call, calls, spoilt_call),
 }
 """{name: (what takes bytes, real bytes that it takes, how they are best spoilt)}"""

@@ -214,12 +214,13 @@ class Server:
             link.close()
 
     @contextmanager
-    def connect(self, identity=None, *, source=HOST, classical=False):
-        """A connection after the handshake."""
+    def connect(self, identity=None, *, source=HOST, classical=False, before=b""):
+        """A connection after the handshake; `before` is sent before it, as a balancer does."""
         trust = ServerTrust(pins=self.pins())
         context = client_context(trust, HOST, identity, classical=classical)
         with socket.create_connection((HOST, self.port), PATIENCE, (source, 0)) as plain:
             plain.settimeout(None)
+            plain.sendall(before)
             link = SSL.Connection(context, plain)
             link.set_connect_state()
             link.do_handshake()
@@ -230,7 +231,16 @@ class Server:
         return frozenset(spki_pin(Certificate.from_pem(each.read_bytes())) for each in chains)
 
     def send(  # noqa: PLR0913 -- by name
-        self, method, path, body=b"", *, identity=None, token=None, source=HOST, **headers
+        self,
+        method,
+        path,
+        body=b"",
+        *,
+        identity=None,
+        token=None,
+        source=HOST,
+        before=b"",
+        **headers,
     ):
         """The answer to one request on a connection of its own."""
         named = {"Host": HOST, "Connection": "close"}
@@ -240,7 +250,7 @@ class Server:
             named["Authorization"] = basic(token)
         named |= {key.replace("_", "-"): value for key, value in headers.items()}
         lines = [f"{method} {path} HTTP/1.1", *(f"{key}: {value}" for key, value in named.items())]
-        with self.connect(identity, source=source) as link:
+        with self.connect(identity, source=source, before=before) as link:
             link.sendall("\r\n".join([*lines, "", ""]).encode() + body)
             return reply_in(received(link))
 
