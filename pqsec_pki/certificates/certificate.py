@@ -159,6 +159,11 @@ class Certificate:
         return replace(self, spki=self.alternative.spki)
 
     @property
+    def own_keys(self) -> tuple[PublicKey, ...]:
+        """The subject's key, and its alternative key if it has one."""
+        return tuple(filter(None, (self.public_key, self.alternative_key)))
+
+    @property
     def handshake_keys(self) -> tuple[PublicKey, ...]:
         """The keys its holder may sign a handshake with, the stronger first."""
         if self.alternative_key is None:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from pqsec_pki._times import said
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import ros
 from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Use
@@ -11,7 +12,10 @@ def right_lines(found: RightAnswer) -> Iterator[str]:
     """One line for each topic that is allowed; of the others also the reason."""
     word = "YES" if found.allowed else "NO"
     by = found.uses[0].answers[0].answer.interpretation.title if found.uses else ""
-    yield f"{word:<4}  {printable(found.policy_input.who)}: {printable(found.right.words)}, by {by}"
+    ends = [end for use in found.uses if (end := use.until(found.policy_input))]
+    until = f", until {said(min(ends))}" if found.allowed and ends else ""
+    what = f"{printable(found.policy_input.who)}: {printable(found.right.words)}"
+    yield f"{word:<4}  {what}{until}, by {by}"
     for use in found.uses:
         for each in use.answers:
             yield from _use_lines(found.policy_input, use, each)
@@ -41,6 +45,10 @@ def lines_of(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]
     title = f"{printable(policy_input.who)}: {what}, {finding.where}"
     yield f"{answer.word.upper():<4}  {title}, by {answer.interpretation.title}"
     yield from _why(policy_input, answer, "      ")
+    until = policy_input.until(question, answer.interpretation) if finding.allowed else None
+    if until:
+        keys = f", keys {policy_input.keys}" if policy_input.keys else ""
+        yield f"      until       {said(until)}{keys}"
     for number, word in enumerate(answer.protection):
         yield f"{'' if number else '      protected':<17} {word}"
     if others:

@@ -93,7 +93,8 @@ def fleet_in(
     names = keystore.names_of_all()
     for name in counted(names, len(names), "participants"):
         try:
-            subject = identity_of(keystore, name, anchors, now).subject_name
+            certificate = identity_of(keystore, name, anchors, now)
+            subject = certificate.subject_name
             own = own_permissions(keystore, name, now, check)
             with located(own.path):
                 _refuse_ungranted(own.value, subject, now, reading)
@@ -105,7 +106,11 @@ def fleet_in(
         else:
             members.append(DocumentOwner(name=name, subject=subject, permissions=own.value))
             inputs[name] = PolicyInput(
-                who=name, subject=subject, governance=governance, permissions=own
+                who=name,
+                subject=subject,
+                governance=governance,
+                permissions=own,
+                not_after=certificate.not_after,
             )
     return Fleet(governance.value, members, refused, inputs=inputs, keystore=keystore)
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from dataclasses import replace
+from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
@@ -37,6 +38,12 @@ class Use:
     """As the rules have it: a pattern is answered with a sample, the question's topic."""
     answers: list[DomainsAnswer]
 
+    def until(self, policy_input: PolicyInput) -> datetime | None:
+        """When it ends that it is allowed; None if it is not, or nothing ends it."""
+        first = self.answers[0]
+        own = policy_input.until(first.question, first.answer.interpretation)
+        return own if first.allowed else None
+
     def to_json(self, policy_input: PolicyInput) -> dict[str, object]:
         """The answers: first what decides, then those of other domains."""
         first, *others = self.answers
@@ -49,6 +56,8 @@ class Use:
             "partitions": question.partitions,
             "data_tags": list(map("=".join, question.data_tags)),
             "at": question.now,
+            "until": self.until(policy_input),
+            "keys": policy_input.keys or None,
             "verified": policy_input.governance.verified and policy_input.permissions.verified,
             **first.to_json(policy_input),
             "elsewhere": [each.to_json(policy_input) for each in others],

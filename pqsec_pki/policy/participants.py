@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
-from pqsec_pki.access import Decision
+from pqsec_pki.access import SPEC, Decision, Interpretation, Question
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -37,6 +37,14 @@ class PolicyInput:
     subject: str
     governance: Loaded[Governance]
     permissions: Loaded[Permissions]
+    not_after: datetime | None = None
+    """The end of its certificate; None if the documents are files without one."""
+    keys: str = ""
+    """The algorithms of its certificate's keys, such as `ml-dsa-65`."""
+
+    def until(self, question: Question, interpretation: Interpretation = SPEC) -> datetime | None:
+        """When its rights end: with its grant or its certificate. None if nothing ends them."""
+        return end_of_rights(self.permissions.value, question, interpretation, self.not_after)
 
     def place(self, decision: Decision) -> tuple[Path, int] | None:
         """The file and line of the rule that decided."""
@@ -48,6 +56,18 @@ class PolicyInput:
     def criteria_line(self, decision: Decision) -> int | None:
         """The line, in that file, of the criteria of the rule that matched."""
         return self.permissions.line(decision.criteria.line) if decision.criteria else None
+
+
+def end_of_rights(
+    permissions: Permissions,
+    question: Question,
+    interpretation: Interpretation,
+    not_after: datetime | None,
+) -> datetime | None:
+    """The end of the grant that is for the question's subject, or `not_after` if that is before."""
+    grant = interpretation.grant_for(permissions, question)
+    ends = [each for each in (grant.not_after if grant else None, not_after) if each]
+    return min(ends, default=None)
 
 
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
@@ -94,9 +114,12 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
     keystore.refuse_unknown(name)
     anchors = valid_anchors(keystore.anchors, now)
     check = partial(anchors.verified, now=now)
+    certificate = identity_of(keystore, name, anchors, now)
     policy_input = PolicyInput(
         who=regular_name(name),
-        subject=identity_of(keystore, name, anchors, now).subject_name,
+        subject=certificate.subject_name,
+        not_after=certificate.not_after,
+        keys=" and ".join(each.algorithm.name for each in certificate.own_keys),
         governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
         permissions=own_permissions(keystore, name, now, check),
     )

@@ -7,9 +7,11 @@ from datetime import datetime
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
     MAX_NAME,
+    Action,
     DocumentOwner,
     Interpretation,
     Placed,
+    Question,
     domains_ungoverned,
     is_known,
     topics_asked,
@@ -19,6 +21,7 @@ from pqsec_pki.access import (
 from pqsec_pki.documents import DomainRange, DomainSet, ros
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet
+from pqsec_pki.policy.participants import end_of_rights
 
 _PATTERN = re.compile(r"[*?\[]")
 
@@ -36,6 +39,8 @@ class WhoMay:
     """Topics and patterns that no rule names or matches -> similar names as a text."""
     ungoverned: list[DomainRange]
     """Those of `domains` that the governance does not name."""
+    until: dict[str, datetime]
+    """When the rights of each participant end: with its grant, or before with its certificate."""
 
     @property
     def too_long(self) -> list[str]:
@@ -49,6 +54,7 @@ class WhoMay:
             "domains": None if self.domains is None else str(self.domains),
             "as": self.interpretation.name,
             "participants": [member.name for member in self.fleet.members],
+            "until": self.until,
             "left_out": self.fleet.refused,
             "topics": list(self.rows_as_json()),
             "unknown_topics": self.unknown,
@@ -159,7 +165,19 @@ def who_may_use(
         rows=used or rows,
         unknown={topic: meant(topic, named) for topic in unknown},
         ungoverned=domains_ungoverned(fleet.governance, domains) if domains else [],
+        until=dict(_ends(fleet, now, interpretation)),
     )
+
+
+def _ends(
+    fleet: Fleet, now: datetime, interpretation: Interpretation
+) -> Iterator[tuple[str, datetime]]:
+    for each in fleet.members:
+        known = fleet.inputs.get(each.name)
+        question = Question(subject=each.subject, domain=0, action=Action.JOIN, now=now)
+        not_after = known.not_after if known else None
+        if end := end_of_rights(each.permissions, question, interpretation, not_after):
+            yield each.name, end
 
 
 def _may_all(members: Iterable[DocumentOwner]) -> bool:

@@ -47,6 +47,7 @@ def rights_of(fleet: Fleet, root: Path, now: datetime) -> RightsSection:
         every=tuple(_every(answer)),
         topics=tuple(dict.fromkeys(each.row.topic for each in answer.rows)),
         refused=fleet.refused,
+        until=answer.until,
     )
 
 

@@ -3,8 +3,10 @@
 import csv
 import io
 from collections.abc import Iterator
+from datetime import UTC, datetime
 
 from pqsec_pki._csv import cell
+from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.migration import MigrationPlan
 from pqsec_pki.report.comparing import Changes
 from pqsec_pki.report.values import Report
@@ -30,13 +32,13 @@ _Row = tuple[str, str, str, str, str, str, str]
 
 
 def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
-    at = report.at.isoformat(timespec="seconds")
+    at = _said(report.at)
     yield "report", report.keystore, f"pqsec {report.version}", report.command, "", at, ""
     for gap in report.gaps:
         yield "gap", gap.section, "not read", gap.reason, "", "", ""
     yield from _changed(changes)
     for person in report.participants or ():
-        until = person.not_after.isoformat()
+        until = _said(person.not_after)
         yield (
             *("participant", person.name, person.profile, person.state.value),
             *(person.domains, until, person.serial),
@@ -50,7 +52,15 @@ def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
     for event in report.events or ():
         for name in event.names or ("",):
             line = f"ledger line {event.first}"
-            yield "ledger", name, event.what, event.operator, "", event.at, line
+            yield (
+                "ledger",
+                name,
+                event.what,
+                event.operator,
+                "",
+                event.at.replace("+00:00", "Z"),
+                line,
+            )
     for size in report.sizes or ():
         for name in size.names:
             yield "handshake", name, "bytes of the largest message", str(size.message), "", "", ""
@@ -68,18 +78,28 @@ def _rights(report: Report) -> Iterator[_Row]:
     }
     groups = {name: each.members[0] for each in report.rights.groups for name in each.members}
     for right in report.rights.every:
-        key = (right.domains, right.topic, right.action, groups[right.participant])
+        first = groups[right.participant]
+        place = places.get((right.domains, right.topic, right.action, first), "")
+        beside = f"enclaves{first}/{PERMISSIONS}:"
+        if first != right.participant and place.startswith(beside):
+            place = f"enclaves{right.participant}/{PERMISSIONS}, as {place}"
+        until = report.rights.until.get(right.participant)
         yield (
             *("right", right.participant, right.action, right.topic),
-            *(right.domains, "", places.get(key, "")),
+            *(right.domains, _said(until) if until else "", place),
         )
     for name, reason in report.rights.refused.items():
         yield "left out", name, "has no rights", reason, "", "", ""
 
 
+def _said(when: datetime) -> str:
+    """Such as 2027-02-22T16:44:57Z."""
+    return when.astimezone(UTC).isoformat(timespec="seconds").replace("+00:00", "Z")
+
+
 def _keys(report: Report) -> Iterator[_Row]:
     for authority in report.authorities or ():
-        until = authority.not_after.isoformat()
+        until = _said(authority.not_after)
         yield (
             *("authority", authority.name, authority.kind, authority.state.value),
             *("", until, authority.fingerprint),
@@ -88,7 +108,7 @@ def _keys(report: Report) -> Iterator[_Row]:
         words = f"{exposure.strength}: {exposure.consequence}"
         yield "quantum", exposure.use, exposure.algorithm, words, "", "", exposure.profile
     for robot in report.robots or ():
-        at = robot.installed_at.isoformat() if robot.installed_at else ""
+        at = _said(robot.installed_at) if robot.installed_at else ""
         numbers = f"runs {robot.runs or '-'}, should run {robot.should_run or '-'}"
         words = f"{robot.state.value}: {numbers}"
         yield "robot", robot.name, "installed", words, "", at, " ".join(robot.changed)

@@ -94,6 +94,8 @@ class RightsSection:
     """All topics and patterns that a rule names, also those that nobody may use."""
     refused: dict[str, str]
     """Participants whose documents are not valid -> why; they have no rights."""
+    until: dict[str, datetime]
+    """When the rights of each participant end."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -311,4 +313,5 @@ def _rights(rights: RightsSection) -> dict[str, object]:
         "topics": rights.topics,
         "every": [[e.participant, e.action, e.topic, e.domains] for e in rights.every],
         "left_out": rights.refused,
+        "until": rights.until,
     }

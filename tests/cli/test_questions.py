@@ -44,6 +44,27 @@ def test_a_topic_where_a_path_belongs_is_told_its_option(pqsec):
     pqsec("who-may /cmd_vel").refused(3, "/cmd_vel: no such file", hint="--topic or --ros-topic")
 
 
+def test_a_right_ends_with_its_grant_or_before_with_the_certificate(pqsec, keystore, tmp_path):
+    keystore(profile="transition")
+    ask = "-k k explain /talker --publish rt/chatter"
+    found = pqsec(f"{ask} --json").done().json
+    ends = pqsec("-k k status /talker --json").json["participants"][0]["not_after"]
+    assert (found["until"], found["keys"]) == (ends, "ecdsa-p256 and ml-dsa-65")
+    assert re.search(
+        r"\n      until       2.* \w+, keys ecdsa-p256 and ml-dsa-65\n", pqsec(ask).out
+    )
+    assert pqsec("-k k who-may --json").json["until"] == {"/listener": ends, "/talker": ends}
+    soon = NOW + timedelta(days=2)
+    path = tmp_path / "k/enclaves/talker/permissions.xml"
+    text = re.sub("<not_after>[^<]*", f"<not_after>{soon:%Y-%m-%dT%H:%M:%SZ}", path.read_text())
+    (tmp_path / "short.xml").write_text(text)
+    pqsec("-k k sign-permissions short.xml --force -o k/enclaves/talker/permissions.p7s").done()
+    assert pqsec(f"{ask} --json").json["until"] == f"{soon:%Y-%m-%dT%H:%M:%SZ}"
+    assert pqsec("-k k who-may --json").json["until"]["/talker"] == f"{soon:%Y-%m-%dT%H:%M:%SZ}"
+    no = pqsec("-k k explain /talker --publish rt/other --json").json
+    assert (no["allowed"], no["until"]) == (False, None)
+
+
 def grant(*rules, subject="CN=/robot", days=300):
     return Grant(
         name="g",
@@ -408,7 +429,8 @@ def test_a_right_in_the_words_of_ros_takes_all_its_topics(pqsec, fleet_of_nodes)
             said = pqsec(f"{ask} --participant {name} {right}")
             assert (said.code, said.out[:3].strip()) == (code, ("YES", "NO")[code]), (name, right)
     said = pqsec(f"{ask} --participant /desk --ros-client /reset").done().out.splitlines()
-    assert said[0] == "YES   /desk: call the service /reset, by DDS-Security 1.1"
+    line = r"YES   /desk: call the service /reset, until 2.* \w+, by DDS-Security 1.1"
+    assert re.fullmatch(line, said[0])
     assert said[1].startswith("      yes  publish request of /reset, domain 0  ")
     assert said[2].startswith("      yes  subscribe reply of /reset, domain 0  ")
     pqsec(f"{ask} --participant /desk --ros-service reset").refused(2, "not a full ROS 2 name")
@@ -433,10 +455,9 @@ def test_a_right_is_on_one_domain_or_not_at_all(pqsec, put):
 def test_several_participants_are_asked_at_once(pqsec, fleet_of_nodes):
     ask = fleet_of_nodes.replace("who-may", "explain")
     said = pqsec(f"{ask} --participant '/bot/*' --join").done().out
-    assert [line for line in said.splitlines() if line[:3] == "YES"] == [
-        "YES   /bot/cook: join, by DDS-Security 1.1",
-        "YES   /bot/server: join, by DDS-Security 1.1",
-    ]
+    cook, server = (line for line in said.splitlines() if line[:3] == "YES")
+    assert re.fullmatch(r"YES   /bot/cook: join, until 2.* \w+, by DDS-Security 1.1", cook)
+    assert server.startswith("YES   /bot/server: join, until ")
     found = pqsec(f"{ask} --participant '/bot/*' --ros-publish /odom --json")
     assert found.code == 1
     told = {each["participant"]: each["allowed"] for each in found.json["answers"]}

@@ -555,8 +555,9 @@ def test_groups_with_one_label_are_told_apart_by_a_member(tmp_path):
         row[1]: row[-1] for row in read_csv(csv_of(report)) if row[:3:2] == ["right", "publish"]
     }
     assert {name: place.split("/")[1] for name, place in rows.items() if place} == {
-        "/r0": "r0", "/r1": "r1", "/r2": "r0", "/r3": "r1",
+        "/r0": "r0", "/r1": "r1", "/r2": "r2", "/r3": "r3",
     }  # fmt: skip
+    assert rows["/r3"].startswith("enclaves/r3/permissions.p7s, as enclaves/r1/permissions.p7s:")
     for first in ("/r0", "/r1"):
         assert f'<bdi>/{{name}}</bdi> <span class="small">as <bdi>{first}</bdi></span>' in text
 
@@ -689,6 +690,10 @@ def test_the_csv_has_every_right_with_its_rule(report):
         (each.participant, each.action, each.topic, each.domains) for each in report.rights.every
     ]
     assert all(re.fullmatch(r"enclaves/.*/permissions\.p7s:\d+", row[6]) for row in rights)
+    assert all(row[6].startswith(f"enclaves{row[1]}/permissions.p7s") for row in rights)
+    ends = {row[1]: row[5] for row in rows if row[0] == "participant"}
+    assert {row[1]: row[5] for row in rights}.items() <= ends.items()
+    assert {row[5][-1] for row in rows if row[0] in {"participant", "ledger"}} == {"Z"}
     assert {row[0] for row in rows} >= {"report", "participant", "authority", "ledger", "evidence"}
 
 
