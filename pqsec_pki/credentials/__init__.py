@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from pqsec_pki.credentials.anchors import TrustAnchors
     from pqsec_pki.credentials.enclave import Credentials, alternative_spki
     from pqsec_pki.credentials.logged import (
-        LOGGED,
         PROOF,
         logged_hashes,
         missing_proof,
@@ -64,7 +63,6 @@ __all__ = [
     "IDENTITY_CA",
     "KEY",
     "KEYS",
-    "LOGGED",
     "NEEDED",
     "PERMISSIONS",
     "PERMISSIONS_ALT_CA",

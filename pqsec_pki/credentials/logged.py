@@ -16,8 +16,6 @@ if TYPE_CHECKING:
 PROOF = "ledger.proof"
 """The proof beside an enclave's files; no stack reads it."""
 _KINDS = {CERTIFICATE: "participant", PERMISSIONS: "permissions", GOVERNANCE: "governance"}
-LOGGED = frozenset(_KINDS.values())
-"""The kinds of the ledger's lines about them."""
 
 
 def logged_hashes(files: Mapping[str, bytes]) -> list[tuple[str, str]]:

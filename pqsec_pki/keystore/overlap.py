@@ -66,7 +66,10 @@ class Overlap:
             line = trusted_last((*ledger.of_kind(TRUST), *ledger.of_kind(TRUST_END)))
         if line is None or line.sha256 != hashlib.sha256(data).hexdigest():
             return None
-        return cls(Phase(line.details["overlap"]), *found)
+        try:
+            return cls(Phase(line.details.get("overlap", "")), *found)
+        except ValueError as error:
+            raise line.damaged(str(error)) from None
 
     @classmethod
     def that_is(cls, keystore: Keystore, phase: Phase) -> Self:

@@ -38,7 +38,6 @@ Given = TypeVar("Given")
 Value = TypeVar("Value")
 
 RIGHTS = "Who may command what"
-ENDINGS = "What ends when"
 QUANTUM = "What a quantum computer breaks"
 MIGRATION = "Migration"
 FINDINGS = "What is wrong or risky"

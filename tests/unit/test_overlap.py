@@ -30,6 +30,7 @@ from tests.unit.keystores import (
     switch_overlap,
 )
 from tests.unit.plugin_wire import RefusedError, shaken, side
+from tests.unit.test_ledger import alter
 
 LATER = NOW + 30 * DAY
 
@@ -92,6 +93,14 @@ def takes(folder, other):
 def snapshot(root):
     files = [path for path in root.rglob("*") if path.is_file() and "ledger." not in path.name]
     return {path.relative_to(root): path.read_bytes() for path in files}
+
+
+@pytest.mark.parametrize("details", ["{}", '{"overlap": "x"}', "no JSON"])
+def test_a_damaged_line_about_two_cas_is_an_error_of_ours(keystore, details):
+    begin(keystore)
+    alter(keystore, "UPDATE ledger SET details = 'X' WHERE kind = 'trust'".replace("X", details))
+    with pytest.raises(KeystoreError, match=r"line on trust CN=.* is damaged"):
+        Overlap.of(keystore)
 
 
 # The way there
