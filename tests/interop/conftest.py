@@ -201,6 +201,20 @@ def stack_in(requires) -> Callable[[str, str], Installation]:
     return of
 
 
+@pytest.fixture(scope="module")
+def selected(request) -> Callable[[str], set]:
+    """selected("name") is the set of values that the tests of the module, of those that this run
+    has selected, have for `name`: what a fixture begins for all of them at once is begun for these.
+    """
+
+    def values(argument: str) -> set:
+        tests = [item for item in request.session.items if item.path == request.path]
+        parameters = [item.callspec.params for item in tests if hasattr(item, "callspec")]
+        return {each[argument] for each in parameters if argument in each}
+
+    return values
+
+
 @pytest.fixture
 def meet_fastdds(fastdds, labs, enclave) -> Callable[..., Both]:
     """meet_fastdds(profile, we=name) lets us and Fast DDS meet in that lab; bob will begin.

@@ -83,8 +83,7 @@ def installation(installations, requires):
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    profiles = {case.profile for case in CASES.values()}
-    return Laboratory.create(tmp_path_factory.mktemp("trials"), profiles, now)
+    return Laboratory.create(tmp_path_factory.mktemp("trials"), now)
 
 
 @pytest.fixture(scope="module")

@@ -5,13 +5,14 @@ stacks themselves; where each is in a network of its own, several run at once.
 """
 
 import shutil
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from datetime import datetime, timedelta
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
+from threading import Lock
 from typing import Self
 
 from cryptography import x509
@@ -226,11 +227,15 @@ class Laboratory:
     now: datetime
 
     @classmethod
-    def create(cls, folder: Path, profiles: Iterable[str], now: datetime) -> Self:
-        """With a lab of each of `profiles`, created before any case is run."""
-        labs = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
-        for profile in profiles:
-            labs(profile)
+    def create(cls, folder: Path, now: datetime) -> Self:
+        """With a lab of each profile that a case asks for, also of cases that run at once."""
+        made = cache(lambda name: Lab.create(folder / name, LAB_PROFILES[name], now - AGE))
+        lock = Lock()
+
+        def labs(name: str) -> Lab:
+            with lock:
+                return made(name)
+
         return cls(labs, folder, now)
 
     def trial(self, installation: Installation, case: Case, **how: object) -> Trial:

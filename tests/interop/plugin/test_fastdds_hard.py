@@ -42,7 +42,7 @@ PLACES = list(ROOTS) if LONG else ["bookworm"]
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    return Laboratory.create(tmp_path_factory.mktemp("hard"), ["pq", "cnsa2"], now)
+    return Laboratory.create(tmp_path_factory.mktemp("hard"), now)
 
 
 @pytest.fixture(scope="module")

@@ -101,12 +101,14 @@ REFUSED = {
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    return Laboratory.create(tmp_path_factory.mktemp("trials"), LAB_PROFILES, now)
+    return Laboratory.create(tmp_path_factory.mktemp("trials"), now)
 
 
 @pytest.fixture(scope="module")
-def reports(stack_in, laboratory, plugin_for) -> Iterator[Callable[[str], TrialReport]]:
+def reports(stack_in, laboratory, plugin_for, selected) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
+    met = {name: MET[name] for name in MET if name in selected("name")}
+    refused = {name: REFUSED[name] for name in REFUSED if name in selected("name")}
 
     def run(where: str, case: Case, sender: str, stock: tuple[str, ...], **how) -> TrialReport:
         installation, ours = stack_in("fastdds", where), plugin_for(where)
@@ -116,14 +118,14 @@ def reports(stack_in, laboratory, plugin_for) -> Iterator[Callable[[str], TrialR
             trial, TopicRoute(sender=sender, receiver=receiver, domain=0, topic=case.topic)
         )
 
-    for where in ROOTS:
+    for where in {each[0] for each in (*met.values(), *refused.values())}:
         built(stack_in("fastdds", where))
         plugin_for(where)
     with ThreadPoolExecutor(AT_ONCE) as pool:
         found: dict[str, Future[TrialReport]] = {}
-        for name, (where, case, stock) in MET.items():
+        for name, (where, case, stock) in met.items():
             found[name] = pool.submit(run, where, case, SENDER, stock, timeout=PATIENCE)
-        for name, (*how, _) in REFUSED.items():
+        for name, (*how, _) in refused.items():
             # `anyway`, for what an export would refuse too.
             found[name] = pool.submit(run, *how, timeout=REFUSAL, anyway=True)
         yield lambda name: found[name].result()
@@ -198,18 +200,19 @@ MIXED = [
 
 
 @pytest.fixture(scope="module")
-def meetings(stack_in, laboratory, plugin_for) -> Iterator[Callable[[Meeting], TrialRun]]:
+def meetings(stack_in, laboratory, plugin_for, selected) -> Iterator[Callable[[Meeting], TrialRun]]:
     """What came of a meeting; several run at once."""
+    mixed = [meeting for meeting in MIXED if meeting in selected("meeting")]
 
     def found(name: str) -> Installation:
         return stack_in(*name.split())
 
-    for meeting in MIXED:
+    for meeting in mixed:
         for each in (meeting.sending, meeting.receiving):
             built(found(each))
             plugin_for(each.split()[1])
     with ThreadPoolExecutor(AT_ONCE) as pool:
-        began = {each: pool.submit(each.run, found, laboratory, plugin_for) for each in MIXED}
+        began = {each: pool.submit(each.run, found, laboratory, plugin_for) for each in mixed}
         yield lambda meeting: began[meeting].result()
 
 

@@ -93,7 +93,7 @@ REFUSED = {
 
 @pytest.fixture(scope="module")
 def laboratory(tmp_path_factory, now) -> Laboratory:
-    return Laboratory.create(tmp_path_factory.mktemp("trials"), LAB_PROFILES, now)
+    return Laboratory.create(tmp_path_factory.mktemp("trials"), now)
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +104,10 @@ def ours(compiler) -> Iterator[TrialPlugin]:
 
 
 @pytest.fixture(scope="module")
-def reports(stack_in, laboratory, ours) -> Iterator[Callable[[str], TrialReport]]:
+def reports(stack_in, laboratory, ours, selected) -> Iterator[Callable[[str], TrialReport]]:
     """reports(name) is what came of it; several run at once."""
+    met = {name: MET[name] for name in MET if name in selected("name")}
+    refused = {name: REFUSED[name] for name in REFUSED if name in selected("name")}
 
     def run(where: str, case: Case, stock: tuple[str, ...], **how) -> TrialReport:
         installation = stack_in("cyclonedds", where)
@@ -114,13 +116,13 @@ def reports(stack_in, laboratory, ours) -> Iterator[Callable[[str], TrialReport]
             trial, TopicRoute(sender=SENDER, receiver=RECEIVER, domain=0, topic=case.topic)
         )
 
-    for where in ROOTS:
+    for where in {"bookworm"} | {each[0] for each in met.values()}:
         built(stack_in("cyclonedds", where))
     with ThreadPoolExecutor(AT_ONCE) as pool:
         found: dict[str, Future[TrialReport]] = {}
-        for name, (where, case, stock) in MET.items():
+        for name, (where, case, stock) in met.items():
             found[name] = pool.submit(run, where, case, stock, timeout=PATIENCE)
-        for name, (case, stock, _) in REFUSED.items():
+        for name, (case, stock, _) in refused.items():
             # `anyway`, for what an export would refuse too.
             found[name] = pool.submit(run, "bookworm", case, stock, timeout=REFUSAL, anyway=True)
         yield lambda name: found[name].result()
