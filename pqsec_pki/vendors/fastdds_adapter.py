@@ -32,7 +32,7 @@ ADAPTER, RECORD = "pqsec-fastdds-{}.so", "pqsec-fastdds-{}.json"
 FASTDDS_SOURCES = SOURCES.with_name("fastdds")
 
 _SHIM = ("wire.c", "frames.c", "link.c", "agent.c", "watch.c")
-_ADAPTER = ("agent.cpp", "sessions.cpp", "authentication.cpp", "access_control.cpp")
+_ADAPTER = "adapter.cpp"
 FLAGS = (
     *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),
     *("-U_FORTIFY_SOURCE", "-D_FORTIFY_SOURCE=2"),
@@ -94,7 +94,7 @@ def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
         *(f"-DPQSEC_FASTDDS={stack.generation}", f'-DPQSEC_BUILD_ID="{build}"'),
         *(["-DPQSEC_BY_PROPERTIES=1"] if stack.by_properties else []),
         *(["-DPQSEC_MORE_FUNCTIONS=1"] if stack.more_functions else []),
-        *("-I.", f"-I{stack.seen(stack.include)}", "-o", ADAPTER.format(build), *_ADAPTER),
+        *("-I.", f"-I{stack.seen(stack.include)}", "-o", ADAPTER.format(build), _ADAPTER),
         *(name.replace(".c", ".o") for name in _SHIM),
         *(stack.seen(stack.library.path), f"-L{stack.seen(stack.library.path.parent)}"),
         "-lfastcdr",
