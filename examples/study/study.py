@@ -144,10 +144,12 @@ def suites(rounds, folder):
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0], allow_abbrev=False)
-    parser.add_argument("results", type=Path)
-    parser.add_argument("--part", nargs="+", choices=["suites", *PARTS])
-    parser.add_argument("--stack", nargs="+", choices=list(map(str, STACKS)), default=list(STACKS))
-    parser.add_argument("--rounds", type=int)
+    parser.add_argument("results", type=Path, help="a folder, to which each round is added")
+    parser.add_argument("--part", nargs="+", choices=["suites", *PARTS], help="[all]")
+    parser.add_argument(
+        "--stack", nargs="+", choices=list(map(str, STACKS)), default=list(STACKS), help="[all]"
+    )
+    parser.add_argument("--rounds", type=int, help="rounds of each part [20 of pairs, 5 of hosts]")
     parser.add_argument("--small", action="store_true", help="minutes instead of hours")
     words = parser.parse_args()
     words.results.mkdir(exist_ok=True)

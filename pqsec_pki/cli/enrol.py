@@ -11,7 +11,7 @@ from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.cli import _help, _key_uris, _network, _passphrases, _settings
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import Pins, pins_of
-from pqsec_pki.errors import UsageError, located
+from pqsec_pki.errors import PqsecError, UsageError, located
 from pqsec_pki.est import EnrolmentToken, checked_url, needs_extra
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ class _Asked:
 
     token: EnrolmentToken | None
     server: str
-    name: str
+    names: tuple[str, ...]
     profile: str | None
     pins: Pins | None
 
@@ -33,6 +33,9 @@ class _Asked:
     examples={
         "Enrol with the token that you got for this robot": (
             "pqsec enrol --token-file robot1.token --dir /etc/dds"
+        ),
+        "Enrol two participants of this robot with a token for both": (
+            "pqsec enrol --token-file robot1.token --name /robot1/nav --name /robot1/arm"
         ),
         "Enrol with the certificate of the device, at a server with one of the factory's CA": (
             "pqsec enrol https://enrol.example --name /fleet/robot2 --factory-cert device.pem"
@@ -57,8 +60,10 @@ class _Asked:
 )
 @click.option(
     "--name",
+    "names",
+    multiple=True,
     metavar="NAME",
-    help="Enrol as this participant.  [default: that of the token]",
+    help="Enrol as this participant; one option for each.  [default: that of the token]",
 )
 @click.option(
     "--factory-cert",
@@ -98,7 +103,7 @@ def enrol(  # noqa: PLR0913 -- one for each option, by name
     *,
     url: str | None,
     token_file: Path | None,
-    name: str | None,
+    names: tuple[str, ...],
     factory_cert: Path | None,
     factory_key: Path | None,
     server_pins: tuple[str, ...],
@@ -120,7 +125,7 @@ def enrol(  # noqa: PLR0913 -- one for each option, by name
     The command may be stopped at any time: run it again, and it sends the same request, to which
     the server gives the same answer.
     """
-    asked = _asked(url, name, token_file, profile_name, pins_of(fingerprints) or None)
+    asked = _asked(url, names, token_file, profile_name, pins_of(fingerprints) or None)
     with needs_extra(_network.EXTRA):
         from pqsec_pki import est  # noqa: PLC0415 -- a library of an extra
 
@@ -134,12 +139,26 @@ def enrol(  # noqa: PLR0913 -- one for each option, by name
             pin=_passphrases.pin,
             force=force,
         )
-        done = est.enrol(client, asked.name, folder, terms, clock=_settings.now, patience=wait)
-        _network.report([done], folder)
+        found: list[est.Obtained | PqsecError] = []
+        for name in asked.names:
+            try:
+                done = est.enrol(client, name, folder, terms, clock=_settings.now, patience=wait)
+            except PqsecError as error:
+                if len(asked.names) == 1:
+                    raise
+                error.where = error.where or name
+                found.append(error)
+            else:
+                found.append(done)
+        _network.report(found, folder)
 
 
 def _asked(
-    url: str | None, name: str | None, file: Path | None, profile: str | None, pins: Pins | None
+    url: str | None,
+    names: tuple[str, ...],
+    file: Path | None,
+    profile: str | None,
+    pins: Pins | None,
 ) -> _Asked:
     token = _token(file) if file else None
     server = checked_url(url) if url else token and token.server
@@ -147,14 +166,15 @@ def _asked(
         raise UsageError("no server is named: give its URL, or --token-file")
     if token and server != token.server:
         raise UsageError(f"the token is for {token.server}, not for {server}")
-    known = name or (token.names if token and "*" not in token.names else None)
-    if not known:
+    if not names and token and "*" not in token.names:
+        names = (token.names,)
+    if not names:
         of_token = f", one of the token's {token.names}" if token else ""
         raise UsageError(f"no participant is named{of_token}", hint="--name NAME")
     return _Asked(
         token=token,
         server=server,
-        name=known,
+        names=tuple(dict.fromkeys(names)),
         profile=profile or (token.profile if token else None),
         pins=pins or (token.cas if token else None),
     )

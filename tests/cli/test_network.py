@@ -207,6 +207,26 @@ def test_a_token_for_several_needs_a_name(pqsec, token, tmp_path):
     pqsec(f"enrol --token-file robot1.token --dir r --name {ROBOT}").done()
 
 
+def test_a_robot_of_several_participants_enrols_them_at_once(pqsec, token, server, tmp_path):
+    value = json.loads(token.to_bytes())
+    (tmp_path / "robot1.token").write_text(json.dumps({**value, "names": "/fleet/*"}))
+    ask = "enrol --token-file robot1.token --dir r --name /fleet/a --name /fleet/b"
+    done = pqsec(f"{ask} --name /fleet/a").done()
+    assert re.findall(r"^(/fleet/.)  has a new", done.out, re.MULTILINE) == ["/fleet/a", "/fleet/b"]
+    assert len(server.receipts) == 1
+
+    def refuse(handler):
+        if b"CERTIFICATE REQUEST" in handler.body:
+            handler.problem(403, "no")
+            return True
+        return False
+
+    server.reply = refuse
+    said = pqsec(f"{ask} --name /fleet/c")
+    assert (said.code, "/fleet/a  is up to date" in said.out) == (1, True)
+    assert "pqsec: error: /fleet/c: " in said.err
+
+
 def test_a_key_that_tls_does_not_have_is_told(pqsec, server, tmp_path):
     chain, _ = certificate("ecdsa-p256", owner="device")
     (tmp_path / "device.pem").write_bytes(chain)

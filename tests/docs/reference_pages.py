@@ -73,9 +73,7 @@ def _study() -> tuple[str, ...]:
     """What was measured for the study."""
     about = (
         "Every result of [the study](../explanation/study.md), which says how it was measured and"
-        "\nwhat it shows. Times of two and of many hosts are seconds until all hosts have met: the"
-        "\nmedian of the runs, with its 95 % confidence interval; of one or two runs, their values."
-        "\n`-` is a run that had not ended after 60 s, and `none` that no run had."
+        "\nwhat it shows."
     )
     lines = "\n".join(tables(ROOT / "examples/study/results")).strip()
     return ("# Study: tables", about, lines)
