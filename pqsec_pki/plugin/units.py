@@ -64,7 +64,7 @@ def planned_units(folder: Path, *, force: bool) -> dict[Path, bytes]:
     texts = {f"{NAME}.socket": _SOCKET, f"{NAME}.service": service}
     units = {folder / name: text.encode() for name, text in texts.items()}
     for path, octets in units.items():
-        if not (force or (path.is_file() and _files.read(path) == octets)):
+        if not (force or (_is_file(path) and _files.read(path) == octets)):
             _files.refuse_existing(path)
     return units
 
@@ -81,7 +81,12 @@ def written_units(folder: Path) -> list[Path]:
     """The units in `folder` that `pqsec plugin install --systemd` wrote."""
     paths = [folder / f"{NAME}.{kind}" for kind in ("socket", "service")]
     first = _SOCKET.partition("\n")[0].encode()
-    return [path for path in paths if path.is_file() and _files.read(path).startswith(first)]
+    return [path for path in paths if _is_file(path) and _files.read(path).startswith(first)]
+
+
+def _is_file(path: Path) -> bool:
+    """Whether it is one; FileError if that cannot be known."""
+    return _files.exists(path) and path.is_file()
 
 
 def _quoted(path: str) -> str:

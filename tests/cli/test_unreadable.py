@@ -244,7 +244,8 @@ def test_a_home_that_is_closed_is_named(closed, as_nobody, shared, monkeypatch):
     closed()
     (shared / "home").mkdir(0o700)
     monkeypatch.setenv("HOME", str(shared / "home"))
-    as_nobody("uninstall --list k").refused(3, "home/", "permission denied")
+    for line in ("uninstall --list k", "plugin uninstall --yes", "plugin install --systemd"):
+        as_nobody(line).refused(3, "home/", "permission denied")
 
 
 def test_a_report_says_what_it_lacks(closed, as_nobody, run_in, shared):
