@@ -21,7 +21,7 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.certificates import verify_chain
+from pqsec_pki.certificates import Certificate, verify_chain
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, PqsecError
 from pqsec_pki.keystore import Keystore, audit, checked_head
@@ -170,12 +170,18 @@ def check_commitment(outcomes: list[bool], every: int = 1) -> None:
 # Looking
 
 
+def valid_at(certificate: Certificate) -> datetime:
+    """NOW, or when the certificate begins: processes have the machine's clock."""
+    return max(NOW, certificate.not_before)
+
+
 def check_whole(keystore: Keystore, name: str) -> str:
     """The certificate's fingerprint, after everything was found to fit together."""
     one = keystore.participant(name)
     assert one.key.public_key.spki == one.certificate.spki
     assert one.alternative_key.public_key.spki == one.certificate.alternative_key.spki
-    verify_chain(one.certificate, one.identity_ca, now=NOW, require_alternative=True)
+    now = valid_at(one.certificate)
+    verify_chain(one.certificate, one.identity_ca, now=now, require_alternative=True)
     verified = [
         verify(
             document,
@@ -282,18 +288,21 @@ def _refusing(name: str, code: int, left: list[int]) -> None:
 def killed_processes(place: Path, original: Path, line: str, *, within: float) -> Iterator[Path]:
     """Copies of `original` whose process of the command `line` was killed as it worked.
 
-    Once it has begun to draft, at a moment of the seconds `within`.
+    Once it has begun to draft, at a moment of the seconds `within`; the last ends by itself, as
+    any may that is killed late.
     """
     chance = random.Random(line)  # noqa: S311 -- the same each time
-    for number in range(5):
+    times = 5
+    for number in range(times):
         root = place / str(number)
         shutil.copytree(original, root, symlinks=True)
         command = [sys.executable, "-m", "pqsec_pki", "-k", str(root), *line.split()]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
         while process.poll() is None and not drafts(root):
             time.sleep(0.002)
-        time.sleep(chance.uniform(0, within))
-        process.send_signal(signal.SIGKILL)
+        if number < times - 1:
+            time.sleep(chance.uniform(0, within))
+            process.send_signal(signal.SIGKILL)
         assert b"Traceback" not in process.communicate(timeout=300)[1]
         yield root
 

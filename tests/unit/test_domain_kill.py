@@ -13,11 +13,19 @@ from importlib import import_module
 import pytest
 
 from pqsec_pki.domain import StepAction, create_keystore, read_domain
-from pqsec_pki.keystore import audit
+from pqsec_pki.keystore import audit, registrations
 from pqsec_pki.lifecycle import revoke
 from tests.longer import LONG
 from tests.unit.domains import DAY, FILE, NOW, Scene
-from tests.unit.killing import at_once, check_no_halves, check_whole, copies, drafts
+from tests.unit.killing import (
+    at_once,
+    check_commitment,
+    check_no_halves,
+    check_whole,
+    copies,
+    drafts,
+)
+from tests.unit.test_domain_orders import BOTH, OrderedLine
 
 pytestmark = pytest.mark.slow
 
@@ -26,6 +34,7 @@ NOT_MET = {
     *(StepAction.CREATE_CAS, StepAction.RENEW_CRL),
     StepAction.CHANGE_PROFILE,  # a rollover: test_rotate_kill
     StepAction.STORE_APPROVALS,  # the plan would need approvals: test_approvals_kill
+    StepAction.ENROL,  # the keystore would need a grant: the test after it
 }
 """Of the actions, at the start below."""
 EVERY = 13
@@ -100,6 +109,22 @@ def test_it_is_ended_by_the_next_whenever_the_kill_comes(place, monkeypatch):
     assert len(ended) > every
     # One after the other is done, both revocations at once, and none is undone.
     assert list(dict.fromkeys(lefts)) == [*range(every, 1, -1), 0]
+
+
+def test_an_order_is_performed_whole_or_not_at_all_whenever_the_kill_comes(place):
+    """And counts for its grant once, however often it is begun."""
+    original = OrderedLine(place / "original")
+    original.bring(original.order(original.add(), *BOTH))
+    outcomes = []
+    for folder, _ in copies(place, original.folder, lambda at: Scene.at(at).apply(), every=EVERY):
+        scene = Scene.at(folder)
+        [grant] = registrations(scene.keystore)
+        enrolled = {*BOTH} & set(scene.keystore.names())
+        assert (len(enrolled), grant.used) in {(0, 0), (2, 2)}
+        outcomes.append(bool(enrolled))
+        check_ended(scene)
+        assert [each.used for each in registrations(scene.keystore)] == [2]
+    check_commitment(outcomes, EVERY)
 
 
 def test_a_process_that_is_killed_is_ended_by_the_next(place):

@@ -8,7 +8,6 @@ import subprocess
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 
 import pytest
@@ -21,7 +20,7 @@ from pqsec_pki.lifecycle import Rollover, Scope, adopt, change_passphrase
 from pqsec_pki.smime import verify
 from tests.unit import killing
 from tests.unit.keystores import rotate
-from tests.unit.killing import NOW, drafts, empty_list, fails_with, issue_to, survives
+from tests.unit.killing import NOW, drafts, empty_list, fails_with, issue_to, survives, valid_at
 from tests.unit.linting import check_nothing_broken
 from tests.unit.sros2_keystore import SROS2
 
@@ -41,7 +40,7 @@ def rotate_in(root, profile=None, *, scope=Scope.BOTH, destroy=False):
     return rotate(keystore, terms, kept=kept, passphrase=None, now=NOW)
 
 
-def state_of(root, now=NOW):
+def state_of(root):
     """All fingerprints, after everything was found to fit together."""
     keystore = Keystore.open(root, to_change=True)
     authorities = keystore.unlock(None)
@@ -52,6 +51,7 @@ def state_of(root, now=NOW):
         one = keystore.participant(name)
         assert one.key.public_key.spki == one.certificate.spki
         assert (one.alternative_key is not None) == twice
+        now = valid_at(one.certificate)
         verify_chain(one.certificate, one.identity_ca, now=now, require_alternative=twice)
         for document in (one.permissions, one.governance):
             verified = verify(
@@ -265,7 +265,7 @@ def test_two_rollovers_at_once_are_one_after_the_other(place, prepared, command)
     shutil.copytree(prepared(BOTH), root, symlinks=True)
     rotate_one = rotate_by_command if command else rotate_in
     assert killing.at_once(*[lambda: rotate_one(root)] * 2) == [0, 0]
-    state_of(root, datetime.now(UTC) if command else NOW)
+    state_of(root)
     assert sorted(path.name for path in (root / "private/generations").iterdir()) == ["1", "2"]
 
 
