@@ -55,8 +55,8 @@ def list_(file: Path, form: str) -> None:
     """
     _formats.chosen(form)
     settings = read_settings(file)
-    found, now = settings.waiting.all(), _settings.now()
-    keystore = Keystore.open(settings.keystore)
+    keystore, now = Keystore.open(settings.keystore), _settings.now()
+    found = settings.waiting(keystore).all()
     with keystore.open_ledger() as ledger:
         approved = open_approvals(ledger, now)
     lines, values = _listed(found, replacing(keystore, found, now=now))

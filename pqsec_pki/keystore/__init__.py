@@ -27,6 +27,7 @@ The ledger:
     _shared       which of the two a keystore has; the connection of the change that is made
     _moved_ledger     lines that go from one of the two to the other
     _shared_files     what machines with one ledger get of each other: files that lines are about
+    shared_requests   requests that wait at any server with that ledger
     _replaced_cas     whether another machine replaced the CAs
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
@@ -131,6 +132,7 @@ if TYPE_CHECKING:
         registrations,
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
+    from pqsec_pki.keystore.shared_requests import RequestRow, SharedRequests
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
@@ -179,8 +181,10 @@ __all__ = [
     "Phase",
     "Receipt",
     "Registration",
+    "RequestRow",
     "RobotState",
     "SeenLedger",
+    "SharedRequests",
     "SharedStatus",
     "SigningCa",
     "StagedFolder",

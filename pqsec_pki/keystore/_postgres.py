@@ -53,6 +53,14 @@ _COPY = f"COPY pqsec.ledger ({_COLUMNS}) FROM STDIN"
 _KEEP = "INSERT INTO pqsec.files (sha256, content) VALUES (%s, %s) ON CONFLICT DO NOTHING"
 _STATE = "SELECT current_setting('transaction_read_only'), (SELECT max(version) FROM pqsec.format)"
 _KEPT = "SELECT sha256, content FROM pqsec.files WHERE sha256 = ANY(%s)"
+_WAITING = "SELECT sha256, known, asked FROM pqsec.waiting"
+_WAITING_CONTENT = "SELECT request FROM pqsec.waiting WHERE sha256 = %s"
+_ASK_AGAIN = "UPDATE pqsec.waiting SET asked = %s WHERE sha256 = %s"
+_PUT_WAITING = (
+    "INSERT INTO pqsec.waiting (sha256, known, asked, request) VALUES (%s, %s, %s, %s)"
+    " ON CONFLICT DO NOTHING"
+)
+_REMOVE_WAITING = "DELETE FROM pqsec.waiting WHERE sha256 = ANY(%s)"
 _MODE, _VERIFIED = "PGSSLMODE", "verify-full"
 _BATCH = 5000
 """Rows of one answer."""
@@ -190,6 +198,32 @@ class PostgresLedger:
         """Of the files with these SHA-256 those that are there; nobody compared their content."""
         with self._errors():
             return dict(self._connection.execute(_KEPT, (list(wanted),)).fetchall())
+
+    def waiting(self) -> list[tuple[str, str, str]]:
+        """Of the requests that wait the SHA-256, what is known, and when they were last sent."""
+        with self._errors():
+            return self._connection.execute(_WAITING).fetchall()
+
+    def waiting_content(self, sha256: str) -> bytes | None:
+        """The octets of that request; None if it does not wait."""
+        with self._errors():
+            found = self._connection.execute(_WAITING_CONTENT, (sha256,)).fetchone()
+        return found[0] if found else None
+
+    def ask_again(self, sha256: str, asked: str) -> bool:
+        """Whether that request waits; if so, it was last sent then."""
+        with self._errors():
+            return self._connection.execute(_ASK_AGAIN, (asked, sha256)).rowcount > 0
+
+    def put_waiting(self, sha256: str, known: str, asked: str, content: bytes) -> None:
+        """Add a request, unless it waits."""
+        with self._errors():
+            self._connection.execute(_PUT_WAITING, (sha256, known, asked, content))
+
+    def remove_waiting(self, ids: Collection[str]) -> None:
+        """Drop the requests with these SHA-256, as far as they are there."""
+        with self._errors():
+            self._connection.execute(_REMOVE_WAITING, (list(ids),))
 
     def commit(self) -> None:
         """End the change. After a KeystoreError only `has` tells whether it was committed."""

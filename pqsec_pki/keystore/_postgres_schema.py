@@ -1,7 +1,7 @@
 """The tables of a ledger in PostgreSQL, as SQL for who owns the database; and its rights.
 
 pqsec itself connects as a role that reads and inserts. So who has a machine's password can add
-lines, and the database lets nobody but its owner change one.
+lines, and the database lets nobody but its owner change one. Requests that wait are not lines.
 """
 
 from collections.abc import Iterable, Iterator
@@ -52,7 +52,16 @@ CREATE TABLE pqsec.files (
 );
 """
 """Certificates and signed documents, for other machines; the SHA-256 is that of a line."""
-_FORMATS = (_FORMAT_1, _FORMAT_2)
+_FORMAT_3 = """
+CREATE TABLE pqsec.waiting (
+    sha256 text PRIMARY KEY,
+    known text NOT NULL,
+    asked text NOT NULL,
+    request bytea NOT NULL
+);
+"""
+"""Requests that wait at servers until somebody decides."""
+_FORMATS = (_FORMAT_1, _FORMAT_2, _FORMAT_3)
 """The steps from each format to the next."""
 FORMAT = len(_FORMATS)
 
@@ -92,6 +101,7 @@ def _inserts(role: str) -> Iterator[str]:
     columns = f"number, {_table.COLUMNS}, chain"
     yield f"GRANT INSERT ({columns}) ON pqsec.ledger TO {_quoted(role)};"
     yield f"GRANT SELECT, INSERT (sha256, content) ON pqsec.files TO {_quoted(role)};"
+    yield f"GRANT SELECT, INSERT, UPDATE (asked), DELETE ON pqsec.waiting TO {_quoted(role)};"
 
 
 def _quoted(role: str) -> str:

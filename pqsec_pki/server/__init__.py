@@ -4,10 +4,10 @@ Two processes, which `running.py` starts by `serve.yaml` (`configuration.py`; `b
 a first one). The front answers HTTP: `listening.py`, `balancing.py` and `proxy_header.py` for
 clients of balancers, `channel.py`, `front.py`, `reading.py`, `routes.py`, `limiting.py`,
 `addresses.py`, `asking.py`, `sending.py` and `metrics.py`. The signer (`signer.py`) has the CA
-keys: it decides who is admitted (`admission.py`, `requester.py`, `token_lines.py`; `waiting.py` and
-`deciding.py` for requests that wait; `factories.py` for devices with a certificate of their
-factory) and answers from the keystore (`call_handling.py`); `list_keeping.py` keeps a revocation
-list in force, `receipt_taking.py` takes receipts.
+keys: it decides who is admitted (`admission.py`, `requester.py`, `token_lines.py`; `waiting.py`,
+`waiting_folder.py`, `waiting_rows.py` and `deciding.py` for requests that wait; `factories.py` for
+devices with a certificate of their factory) and answers from the keystore (`call_handling.py`);
+`list_keeping.py` keeps a revocation list in force, `receipt_taking.py` takes receipts.
 Between them are calls (`call.py`).
 """
 

@@ -155,6 +155,8 @@ class CallHandler:
                 return [each for each in decided if isinstance(each, SignerAnswer)]
             self._record(admitted)
             failures = self._issue([each for each in admitted if each.spec])
+            done = [each for each in admitted if each.line and each.name not in failures]
+            self.waiting.remove(*(request_of(each.line) for each in done if each.line))
             with BundleNumbers.of(self.keystore, self.tree) as numbers:
                 return [
                     each
@@ -214,8 +216,6 @@ class CallHandler:
     ) -> SignerAnswer:
         if admitted.spec and (error := failures.get(admitted.name)):
             return _failed(error)
-        if admitted.line:
-            self.waiting.remove(request_of(admitted.line))
         note = f"{admitted.name} by {admitted.by}{'' if admitted.spec else ', again'}"
         if call.kind is CallKind.REQUEST:
             return _guarded(lambda: self._bundle(admitted.name, numbers, note))

@@ -37,8 +37,11 @@ from pqsec_pki.documents.parts_yaml import (
 from pqsec_pki.domain import FACTORY
 from pqsec_pki.errors import located, shown
 from pqsec_pki.est import checked_url
+from pqsec_pki.keystore import Keystore, SharedRequests
 from pqsec_pki.server.addresses import Network, network
 from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
+from pqsec_pki.server.waiting_rows import RequestRows
 
 _ADDRESS = re.compile(r"(\[[0-9a-fA-F:]+\]|[0-9a-zA-Z.-]+):([0-9]{1,5})")
 _LAST_PORT = 65535
@@ -112,7 +115,9 @@ class ServerSettings:
     keystore: Path
     domain: Path
     state: Path
-    """The folder of the signer's socket, and of requests that wait."""
+    """The folder of the signer's socket."""
+    requests: Path | None = None
+    """The folder of requests that wait, if the ledger is in a file; None for one in `state`."""
     tls: tuple[TlsFiles, ...]
     classical: bool = False
     """Whether clients without post-quantum key agreement, and with TLS 1.2, may come."""
@@ -137,10 +142,15 @@ class ServerSettings:
         """Where the front, started by the signer, tells that it listens."""
         return self.state / "front.sock"
 
-    @property
-    def waiting(self) -> WaitingRequests:
-        """The requests that wait."""
-        return WaitingRequests(self.state / "waiting", self.limits.waiting)
+    def waiting(self, keystore: Keystore) -> WaitingRequests:
+        """The requests that wait, at all servers with the ledger of that keystore if it is shared.
+
+        With a ledger in a file they are in a folder, of this server alone unless one is named.
+        """
+        if keystore.ledger_address:
+            return WaitingRequests(RequestRows(SharedRequests(keystore.root)), self.limits.waiting)
+        folder = self.requests or self.state / "waiting"
+        return WaitingRequests(RequestFolder(folder), self.limits.waiting)
 
 
 def read_settings(path: Path) -> ServerSettings:
@@ -160,6 +170,7 @@ def _settings(folder: Path, item: Item) -> dict[str, Any]:
         "keystore": file,
         "domain": file,
         "state": file,
+        "requests": file,
         "tls": partial(each, reader=partial(_tls, folder)),
         "classical": boolean,
         "passphrase_file": file,

@@ -61,21 +61,21 @@ def decide(
     Other errors as of `WaitingRequests.named`, and of `deliver_request` where approvals are
     demanded.
     """
-    waiting = settings.waiting
-    chosen = {each.sha256: each for each in map(waiting.named, ids)}.values()
-    names = Counter(each.name for each in chosen)
-    if kind == APPROVAL and (several := [name for name, count in names.items() if count > 1]):
-        raise UsageError(f"approve one request for {', '.join(several)}: the last would replace it")
-    with change(keystore.root) as transaction:
-        if kind == APPROVAL and demanded(keystore.approvals):
-            _deliver(chosen, waiting, settings.domain)
-        for each in chosen:
-            details = {"address": each.address}
-            transaction.record(Entry.of(kind, each.name, each.sha256, now, details=details))
-    done = {each.sha256 for each in chosen}
-    for each in waiting.all():
-        if each.sha256 in done or (kind == APPROVAL and each.name in names):
-            waiting.remove(each.sha256)
+    waiting = settings.waiting(keystore)
+    with keystore.hold():  # no server answers meanwhile, which would drop one for another
+        chosen = {each.sha256: each for each in map(waiting.named, ids)}.values()
+        names = Counter(each.name for each in chosen)
+        if kind == APPROVAL and (twice := [name for name, count in names.items() if count > 1]):
+            words = f"approve one request for {', '.join(twice)}: the last would replace it"
+            raise UsageError(words)
+        with change(keystore.root) as transaction:
+            if kind == APPROVAL and demanded(keystore.approvals):
+                _deliver(chosen, waiting, settings.domain)
+            for each in chosen:
+                details = {"address": each.address}
+                transaction.record(Entry.of(kind, each.name, each.sha256, now, details=details))
+        others = [each.sha256 for each in waiting.all() if each.name in names]
+        waiting.remove(*(others if kind == APPROVAL else [each.sha256 for each in chosen]))
     return list(chosen)
 
 

@@ -67,7 +67,7 @@ def run_signer(
             authorities=authorities,
             desired=desired,
             clock=clock,
-            waiting=found.waiting,
+            waiting=found.waiting(opened),
             policy=found.policy,
             factories=factories,
             revocation_list=found.revocation_list,

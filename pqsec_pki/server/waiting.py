@@ -1,24 +1,19 @@
-"""Requests that wait until somebody decides, in a folder of the signer.
+"""Requests that wait until somebody decides.
 
 Anybody can send one, so their number is limited, also for each name. Who sends most gives up some,
-so a stranger keeps no robot out. A file has one request: a line of JSON with what the server knows
-of it, then its DER. It was modified when the request was last sent.
+so a stranger keeps no robot out. They are in a folder of the signer, or, for several servers, in
+the database that has their ledger.
 """
 
 import json
-import os
 from collections import Counter
-from collections.abc import Sequence
-from contextlib import suppress
-from datetime import UTC, datetime, timedelta
-from functools import lru_cache
-from pathlib import Path
-from typing import Any, Self
+from collections.abc import Collection, Sequence
+from datetime import datetime, timedelta
+from typing import Any, Protocol, Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, exists, read, write
 from pqsec_pki.certificates import CertificateRequest
-from pqsec_pki.errors import FileError, MalformedError, UsageError, located, shown
+from pqsec_pki.errors import MalformedError, UsageError, located, shown
 from pqsec_pki.keystore import key_hashes
 from pqsec_pki.server.addresses import key_of
 
@@ -28,10 +23,6 @@ LIFETIME = timedelta(days=30)
 _SHORTEST = 16
 """Digits of a request's SHA-256 that name it: with 8, a stranger finds a request for a key of its
 own that begins like the robot's, in a day."""
-_LONGEST = 8192
-"""Octets of the first line."""
-_REMEMBERED = 2048
-"""Requests that are not read again: for each new one all are looked at."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,17 +51,17 @@ class WaitingRequest:
         }
 
     @property
-    def line(self) -> bytes:
-        """The first line of its file."""
+    def known(self) -> str:
+        """What is kept beside it, as JSON in one line."""
         received = self.received.isoformat(timespec="seconds")
         known = {"name": self.name, "address": self.address, "received": received}
-        return json.dumps({**known, "keys": self.keys}).encode() + b"\n"
+        return json.dumps({**known, "keys": self.keys})
 
     @classmethod
-    def of(cls, line: bytes, sha256: str, asked: datetime) -> Self:
+    def of(cls, known: str | bytes, sha256: str, asked: datetime) -> Self:
         """MalformedError if it is not one."""
         try:
-            value: dict[str, Any] = json.loads(line)
+            value: dict[str, Any] = json.loads(known)
             received = datetime.fromisoformat(value["received"])
             name, address, keys = (str(value[key]) for key in ("name", "address", "keys"))
         except (ValueError, KeyError, TypeError, RecursionError):
@@ -78,49 +69,60 @@ class WaitingRequest:
         return cls(name, sha256, address, received, asked, keys)
 
 
+class RequestStore(Protocol):
+    """Where requests wait: `waiting_folder.py`, or `waiting_rows.py`. Errors name the place."""
+
+    def all(self) -> list[WaitingRequest]:
+        """All, in any order."""
+
+    def ask_again(self, sha256: str, now: datetime) -> bool:
+        """Whether it is there; if so, it was sent again now."""
+
+    def put(self, waits: WaitingRequest, der: bytes) -> None:
+        """Keep a request."""
+
+    def content(self, sha256: str) -> bytes:
+        """The DER of a request; FileError if it is gone."""
+
+    def remove(self, ids: Collection[str]) -> None:
+        """Drop the requests with these SHA-256, as far as they are there."""
+
+
 @dataclass(frozen=True, slots=True)
 class WaitingRequests:
-    """The folder with the requests that wait, at most `most`."""
+    """The requests that wait, at most `most`."""
 
-    folder: Path
+    store: RequestStore
     most: int
 
     def all(self) -> list[WaitingRequest]:
-        """All, oldest first; errors name the file."""
-        with disk_errors(self.folder):
-            paths = list(self.folder.glob("*.request"))
-        found = filter(None, map(_read, paths))
-        return sorted(found, key=lambda each: (each.received, each.sha256))
+        """All, oldest first."""
+        return sorted(self.store.all(), key=lambda each: (each.received, each.sha256))
 
     def add(self, request: CertificateRequest, name: str, address: str, now: datetime) -> None:
         """Keep the request, in place of another one if there are too many.
 
         One that is there stays as it is, and was asked for now.
         """
-        path = self._path(request.fingerprint)
-        if not exists(path):
-            self._make_room(name, address, now)
-            with disk_errors(self.folder):
-                self.folder.mkdir(mode=0o700, exist_ok=True)
-            keys = key_hashes(request.public_key, request.alternative_key)
-            waits = WaitingRequest(name, request.fingerprint, address, now, now, keys)
-            write(path, waits.line + request.der, private=True)
-        with disk_errors(path), suppress(FileNotFoundError):  # somebody just decided
-            os.utime(path, (now.timestamp(), now.timestamp()))
+        if self.store.ask_again(request.fingerprint, now):
+            return
+        self._make_room(name, address, now)
+        keys = key_hashes(request.public_key, request.alternative_key)
+        waits = WaitingRequest(name, request.fingerprint, address, now, now, keys)
+        self.store.put(waits, request.der)
 
     def request(self, waits: WaitingRequest) -> CertificateRequest:
-        """The request itself; errors name the file. MalformedError if it has another one."""
-        path = self._path(waits.sha256)
-        with located(path):
-            found = CertificateRequest.from_der(read(path).partition(b"\n")[2])
+        """The request itself. MalformedError if there is another one in its place."""
+        with located(f"request {waits.sha256}"):
+            found = CertificateRequest.from_der(self.store.content(waits.sha256))
             if found.fingerprint != waits.sha256:
-                raise MalformedError("its name is not the SHA-256 of its request")
+                raise MalformedError("its SHA-256 is another one")
         return found
 
-    def remove(self, sha256: str) -> None:
-        """Drop the request, if it is there."""
-        with disk_errors(self.folder):
-            self._path(sha256).unlink(missing_ok=True)
+    def remove(self, *ids: str) -> None:
+        """Drop the requests with these SHA-256, as far as they are there."""
+        if ids:
+            self.store.remove(ids)
 
     def named(self, text: str) -> WaitingRequest:
         """The request whose SHA-256 begins so; UsageError if there is none, or several."""
@@ -132,9 +134,6 @@ class WaitingRequests:
             count = "several waiting requests begin" if found else "no waiting request begins"
             raise UsageError(f"{count} with '{shown(text)}'", hint=hint)
         return found[0]
-
-    def _path(self, sha256: str) -> Path:
-        return self.folder / f"{sha256}.request"
 
     def _make_room(self, name: str, address: str, now: datetime) -> None:
         """Drop what is old, and one more if the folder is full, or has enough for that name."""
@@ -156,24 +155,3 @@ def _to_give_up(there: Sequence[WaitingRequest], address: str) -> WaitingRequest
     keys = {each.sha256: key_of(each.address) for each in there}
     counts = Counter([*keys.values(), key_of(address)])
     return max(there, key=lambda each: (counts[keys[each.sha256]], -each.asked.timestamp()))
-
-
-def _read(path: Path) -> WaitingRequest | None:
-    """What waits there; None if it does no more."""
-    with located(path):
-        try:
-            with disk_errors(path):
-                found = path.stat()
-                return _waiting(path, found.st_ino, found.st_mtime_ns)
-        except FileError:
-            if exists(path):
-                raise
-            return None
-
-
-@lru_cache(maxsize=_REMEMBERED)
-def _waiting(path: Path, _inode: int, asked: int) -> WaitingRequest:
-    """The request in the file, which is replaced and never changed; `asked` is in nanoseconds."""
-    with path.open("rb") as file:
-        line = file.readline(_LONGEST)
-    return WaitingRequest.of(line, path.stem, datetime.fromtimestamp(asked / 1e9, UTC))

@@ -55,6 +55,7 @@ from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.proxy_header import MOST_OCTETS, ProxyHeader
 from pqsec_pki.server.token_lines import record_token
 from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.fuzz import mutation
 from tests.some_keys import some_key
 from tests.unit.keystores import DAY, NOW
@@ -126,7 +127,7 @@ def _handler(folder):
     domain.write_text(DOMAIN.format(profile=PROFILE))
     desired = read_domain(domain)
     keystore = create_keystore(desired, folder / "k", passphrase=None, now=NOW)
-    waiting = WaitingRequests(folder / "waiting", 10)
+    waiting = WaitingRequests(RequestFolder(folder / "waiting"), 10)
     policy = EnrolmentPolicy(approval=True)
     return CallHandler(keystore, keystore.unlock(None), desired, lambda: NOW, waiting, policy)
 

@@ -128,12 +128,12 @@ def test_tables_are_made_once_and_brought_up_to_date(first, cluster, database, m
     cluster.sql(schema_sql([WRITER]), database)
     newer = "ALTER TABLE pqsec.ledger ADD COLUMN remark text;\n"
     monkeypatch.setattr(_postgres_schema, "_FORMATS", (*_postgres_schema._FORMATS, newer))
-    monkeypatch.setattr(_postgres_schema, "FORMAT", 3)
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 4)
     with pytest.raises(KeystoreError, match="made by an older pqsec"):
         first.lines()
     cluster.sql(schema_sql([WRITER]), database)
     assert len(first.lines()) == 5
-    monkeypatch.setattr(_postgres_schema, "FORMAT", 2)
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 3)
     with pytest.raises(KeystoreError, match="made by another version of pqsec"):
         first.lines()
 

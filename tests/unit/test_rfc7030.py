@@ -29,6 +29,7 @@ from pqsec_pki.server import begin_server
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.test_overlap import begin
@@ -219,7 +220,7 @@ def test_the_ca_certificates_are_for_everybody(server):
 def test_the_next_ca_is_given_beside_the_current_one(tmp_path):
     keystore = made(tmp_path / "k", "classical")
     begin(keystore)
-    waiting = WaitingRequests(tmp_path / "waiting", 1)
+    waiting = WaitingRequests(RequestFolder(tmp_path / "waiting"), 1)
     handler = CallHandler(keystore, keystore.unlock(None), None, lambda: NOW + DAY, waiting)
     [answer] = handler.answers([SignerCall(kind=CallKind.CA_CERTIFICATES)])
     found = pkcs7.load_der_pkcs7_certificates(base64.b64decode(answer.body))

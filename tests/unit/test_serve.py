@@ -288,7 +288,7 @@ def test_a_robot_that_was_approved_too_late_is_told_how_to_ask_again(asking, tmp
 
 def waiting_request(server):
     """The only one that waits for a decision about /other."""
-    waiting = read_settings(server.config).waiting
+    waiting = read_settings(server.config).waiting(server.keystore)
     [waits] = [each for each in waiting.all() if each.name == "/other"]
     return waiting.request(waits)
 

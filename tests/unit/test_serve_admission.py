@@ -14,6 +14,7 @@ from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.some_keys import some_key
 from tests.unit.approving import make_key
 from tests.unit.domains import DAY, NOW, Scene
@@ -45,7 +46,7 @@ class Desk(Scene):
         self.folder = folder
         create_keystore(read_domain(self.file), self.root, passphrase=None, now=NOW)
         self.factories = {}
-        self.waiting = WaitingRequests(folder / "waiting", 9)
+        self.waiting = WaitingRequests(RequestFolder(folder / "waiting"), 9)
 
     def demand_approvals(self):
         """From now on a plan needs them."""

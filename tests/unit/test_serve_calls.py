@@ -15,6 +15,7 @@ from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.requester import Admitted
 from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.serving import DOMAIN
 
@@ -23,7 +24,7 @@ def test_a_batch_with_a_replacement_replaces_nobody_else(tmp_path):
     """A name with files and without a token that replaces it lost its key beside another's."""
     keystore = made(tmp_path / "k", "classical")
     before = {name: keystore.participant(name).certificate for name in ("/talker", "/listener")}
-    waiting = WaitingRequests(tmp_path / "waiting", 1)
+    waiting = WaitingRequests(RequestFolder(tmp_path / "waiting"), 1)
     handler = CallHandler(keystore, keystore.unlock(None), None, lambda: NOW + DAY, waiting)
     batch = [
         Admitted(
@@ -75,7 +76,7 @@ class Served:
         self.handler = self.started()
 
     def started(self):
-        waiting = WaitingRequests(self.folder / "waiting", 1)
+        waiting = WaitingRequests(RequestFolder(self.folder / "waiting"), 1)
         cas = self.keystore.unlock(None)
         clock = lambda: NOW  # noqa: E731 -- short
         return CallHandler(self.keystore, cas, self.desired, clock, waiting, revocation_list=DAY)

@@ -15,6 +15,7 @@ from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.unit.domains import DAY, NOW, Scene
 from tests.unit.serving import HOST, Robot, Server
 
@@ -57,7 +58,7 @@ class Office(Scene):
     def handler(self, *, days=95, window=timedelta()):
         """The handler of the server, so many days after the certificates began."""
         keystore = self.keystore
-        waiting = WaitingRequests(self.file.parent / "waiting", 9)
+        waiting = WaitingRequests(RequestFolder(self.file.parent / "waiting"), 9)
         return CallHandler(
             keystore,
             keystore.unlock(None),

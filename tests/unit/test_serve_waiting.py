@@ -9,10 +9,11 @@ import pytest
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.enrolment import request
 from pqsec_pki.errors import FileError, MalformedError, UsageError
-from pqsec_pki.server import APPROVAL, ServerSettings, decide, open_approvals, waiting
+from pqsec_pki.server import APPROVAL, ServerSettings, decide, open_approvals, waiting_folder
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.waiting import LIFETIME, WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.unit.domains import DAY
 from tests.unit.keystores import NOW
 from tests.unit.test_serve_expired import Office
@@ -33,7 +34,7 @@ class Asked:
     """Waiting requests, and a clock that goes on with each request."""
 
     def __init__(self, folder, most):
-        self.waiting, self.now = WaitingRequests(folder, most), NOW
+        self.waiting, self.now = WaitingRequests(RequestFolder(folder), most), NOW
 
     def ask(self, made, address, name):
         self.now += SECOND
@@ -161,17 +162,17 @@ def test_of_the_requests_that_wait_no_file_is_read_again(asked, requests, monkey
 def test_a_request_that_came_again_from_elsewhere_is_shown_as_it_is(asked, requests):
     """A new file may get the inode of one that was removed, and be as long."""
     asked.ask(requests[0], HOME, "/r")
-    [path] = asked.waiting.folder.iterdir()
+    [path] = asked.waiting.store.folder.iterdir()
     [waits] = asked.waiting.all()
     again = replace(waits, address="192.0.2.7")
-    path.write_bytes(again.line + requests[0].der)
+    path.write_bytes(again.known.encode() + b"\n" + requests[0].der)
     assert [each.address for each in asked.waiting.all()] == ["192.0.2.7"]
 
 
 def test_a_request_that_is_gone_waits_no_more_and_one_that_cannot_be_read_is_told(asked):
     assert asked.waiting.all() == []
-    path = asked.waiting.folder / "0.request"
-    assert waiting._read(path) is None  # somebody just decided
+    path = asked.waiting.store.folder / "0.request"
+    assert waiting_folder._read(path) is None  # somebody just decided
     path.mkdir(parents=True)
     with pytest.raises(FileError, match=r"0\.request"):
         asked.waiting.all()
@@ -182,9 +183,9 @@ def test_a_file_with_another_request_than_its_name_says_is_refused(asked, reques
     asked.ask(first, HOME, "/r")
     [waits] = asked.waiting.all()
     assert asked.waiting.request(waits).der == first.der
-    path = asked.waiting.folder / f"{waits.sha256}.request"
-    path.write_bytes(waits.line + second.der)
-    with pytest.raises(MalformedError, match="its name is not the SHA-256"):
+    path = asked.waiting.store.folder / f"{waits.sha256}.request"
+    path.write_bytes(waits.known.encode() + b"\n" + second.der)
+    with pytest.raises(MalformedError, match="its SHA-256 is another one"):
         asked.waiting.request(waits)
     path.write_bytes(b"{}\n")
     with pytest.raises(MalformedError, match="not a request that waits"):
