@@ -20,6 +20,7 @@ from pqsec_pki._times import rfc3339
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.server import Agent
+from pqsec_pki.plugin.system import undo_hosts_settings
 
 IDLE_SECONDS = 300.0
 """How often an agent without hosts looks whether it should still stay."""
@@ -76,6 +77,7 @@ def main(arguments: list[str]) -> int:
     detach = arguments[:1] == ["--detach"]
     place, *more = arguments[detach:]
     idle = float(more[0]) if more else IDLE_SECONDS
+    undo_hosts_settings()
     agent = Agent(AgentFolder(Path(place)), idle, _now, _log, stays=not more)
     try:
         agent.run(_detach if detach else lambda: None)

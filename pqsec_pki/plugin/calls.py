@@ -10,7 +10,7 @@ from typing import Any, TypeAlias
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 
-VERSION = 3
+VERSION = 4
 """Version of the protocol on the socket. Shim and agent must have the same."""
 MAGIC = "pqsec"
 CONTROL = "control"

@@ -9,7 +9,8 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import Authentication, LateError
-from pqsec_pki.plugin.calls import CALLS, CONTROL, HANDSHAKE, MAGIC, VERSION
+from pqsec_pki.plugin.calls import CALLS, HANDSHAKE
+from pqsec_pki.plugin.greeting import Greeting, ProtocolError, VersionError
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader, MessageWriter
@@ -22,35 +23,6 @@ _HANDSHAKE = frozenset(name.encode() for name in HANDSHAKE)
 _LONGEST = max(map(len, _HANDSHAKE)) + 1
 GREETED = (1).to_bytes(_HEAD, "little") + bytes([_DONE])
 """The answer to a greeting."""
-
-
-class ProtocolError(PqsecError):
-    """The octets are not the protocol, so the connection must end."""
-
-
-class VersionError(PqsecError):
-    """The library is of another version."""
-
-
-def greeted(frame: bytes) -> str:
-    """The plugin, or CONTROL, for which a connection begins with the greeting `frame`.
-
-    ProtocolError if it is not one, VersionError with the words for the other end.
-    """
-    reader = MessageReader(frame)
-    try:
-        magic, version, name = reader.text(), reader.number("I"), reader.text()
-        reader.finish()
-    except MalformedError as error:
-        raise ProtocolError(str(error)) from error
-    if magic != MAGIC or name not in CALLS:
-        raise ProtocolError("not a greeting")
-    if version != VERSION and name != CONTROL:
-        raise VersionError(
-            f"the agent speaks version {VERSION}, the library {version}: run"
-            " `pqsec plugin install` and `pqsec agent stop`"
-        )
-    return name
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +111,7 @@ class Connection:
 
     def _greeted(self, frame: bytes) -> bytes:
         try:
-            self._name = greeted(frame)
+            self._name = Greeting.read(frame).plugin
         except VersionError as error:
             return refusal(str(error))
         self._plugin = self._new(self._name)

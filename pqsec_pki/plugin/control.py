@@ -6,7 +6,8 @@ from typing import Any, cast
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import FileError, MalformedError, PqsecError
 from pqsec_pki.plugin.agent_folder import AgentFolder
-from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION, Arguments
+from pqsec_pki.plugin.calls import CALLS, Arguments
+from pqsec_pki.plugin.greeting import Greeting
 from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader, MessageWriter
 
 _SECONDS = 5.0
@@ -47,12 +48,8 @@ class Client:
         except OSError as error:
             self.close()
             raise FileError(f"no agent listens at {place.socket}") from error
-        writer = MessageWriter()
-        writer.text(MAGIC)
-        writer.number("I", VERSION)
-        writer.text(plugin)
         try:
-            self._accepted(writer.octets)
+            self._accepted(Greeting.own(plugin).octets)
         except PqsecError:
             self.close()
             raise

@@ -4,10 +4,11 @@ import socket
 from contextlib import suppress
 
 from pqsec_pki.plugin import listening
-from pqsec_pki.plugin.connection import framed, greeted, missing, refusal
+from pqsec_pki.plugin.connection import framed, missing, refusal
+from pqsec_pki.plugin.greeting import Greeting
 
-MAX_GREETING = 256
-"""Octets."""
+MAX_GREETING = 16 << 10
+"""Octets: two paths and more."""
 
 
 class Guest:
@@ -17,8 +18,8 @@ class Guest:
         self.link, self.process, self.who = link, process, listening.name_of(process)
         self._inbox = bytearray()
 
-    def plugin(self) -> str:
-        """The plugin that the greeting names; "" as long as the greeting is not complete.
+    def greeting(self) -> Greeting | None:
+        """Its greeting; None as long as that is not complete.
 
         OSError if the process has gone, PqsecError if what it sent is not a greeting.
         """
@@ -26,7 +27,8 @@ class Guest:
         if not octets:
             raise ConnectionResetError
         self._inbox += octets
-        return "" if missing(self._inbox, MAX_GREETING) else greeted(bytes(self._inbox[4:]))
+        is_part = missing(self._inbox, MAX_GREETING)
+        return None if is_part else Greeting.read(bytes(self._inbox[4:]))
 
 
 def refuse(link: socket.socket, words: str) -> None:

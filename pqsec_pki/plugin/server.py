@@ -19,8 +19,10 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import listening
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CONTROL
-from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection, VersionError
+from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection
+from pqsec_pki.plugin.greeting import Greeting, VersionError
 from pqsec_pki.plugin.guest import Guest, refuse
+from pqsec_pki.plugin.inherited import Inherited
 from pqsec_pki.plugin.lists import MAX_CAS
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.staying import load_the_rest, replaced, staying
@@ -65,7 +67,7 @@ class Agent:
         """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
         self._deaf_until = 0.0
-        self._is_retired = self._stopping = False
+        self._is_retired = self._has_served = self._stopping = False
 
     def run(
         self, ready: Callable[[], None] = lambda: None, given: socket.socket | None = None
@@ -96,6 +98,7 @@ class Agent:
         signal.signal(signal.SIGCHLD, signal.SIG_DFL)  # ignored, the system would reap workers
         self._may_stay = staying(self._place.socket) if self._stays else lambda: False
         self._is_old = replaced() if self._stays else lambda: False
+        self._inherited = Inherited(MAX_CONNECTIONS) if self._stays else None
         ready()
         gc.freeze()  # what workers share with the agent stays as it is
         self._listener = listener
@@ -179,8 +182,8 @@ class Agent:
 
     def _greet(self, guest: Guest) -> None:
         try:
-            plugin = guest.plugin()
-            if not plugin:
+            greeting = guest.greeting()
+            if not greeting:
                 return
         except BlockingIOError:
             return
@@ -196,10 +199,10 @@ class Agent:
             guest.link.close()
             return
         self._selector.unregister(guest.link)
-        if plugin == CONTROL:
+        if greeting.plugin == CONTROL:
             self._obey(guest)
         else:
-            self._hand_over(guest, plugin)
+            self._hand_over(guest, greeting)
         self._guests.discard(guest)
 
     def _leave(self, guest: Guest) -> None:
@@ -215,37 +218,49 @@ class Agent:
         self._notes.add(f"process {process} is not served: {why}")
         refuse(link, f"the agent is full: {why}")
 
-    def _hand_over(self, guest: Guest, plugin: str) -> None:
-        if self._turns_away(guest):
+    def _hand_over(self, guest: Guest, greeting: Greeting) -> None:
+        if self._turns_away(guest, greeting):
             return
         if len(self._workers) >= self._most:
             self._refuse_full(guest.link, guest.process)
             return
         try:
             guest.link.send(GREETED)
-            self._workers.serve(guest.link, Served(guest.process, guest.who, plugin))
+            self._workers.serve(guest.link, Served(guest.process, guest.who, greeting.plugin))
             guest.link.close()
+            self._has_served = True
         except OSError as error:
             self._notes.add(f"{guest.who} is not served: {error.strerror}")
             refuse(guest.link, f"no worker can serve it: {error.strerror}")
 
-    def _turns_away(self, guest: Guest) -> bool:
-        """Whether a new agent serves it: another program was installed, and this one retires.
+    def _turns_away(self, guest: Guest, greeting: Greeting | None = None) -> bool:
+        """Whether a new agent serves it: this one cannot, and retires.
 
         Its library is told nothing, so it asks again, and starts what is installed now.
         """
-        if not self._is_retired and self._is_old():
-            self._retire()
+        if not self._is_retired and (why := self._misfit(guest, greeting)):
+            self._retire(why)
         if self._is_retired:
             guest.link.close()
         return self._is_retired
 
-    def _retire(self) -> None:
+    def _misfit(self, guest: Guest, greeting: Greeting | None) -> str:
+        """Why this agent cannot serve the host; empty if it can.
+
+        It can serve its first one, which started it: else that would start one after another.
+        """
+        if self._is_old():
+            return "another version was installed"
+        if greeting is None or not (self._inherited and self._has_served):
+            return ""
+        return self._inherited.misfit(guest.link, guest.process, greeting)
+
+    def _retire(self, why: str) -> None:
         """Listen no more; hosts stay until they end.
 
         The file of the socket stays, as that of an agent that was killed: the next one replaces it.
         """
-        self._notes.add("another version was installed: a new agent serves the next hosts")
+        self._notes.add(f"{why}: a new agent serves the next hosts")
         if not self._deaf_until:
             self._selector.unregister(self._listener)
         self._is_retired, self._deaf_until = True, 0.0

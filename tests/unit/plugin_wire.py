@@ -9,6 +9,7 @@ from pqsec_pki.plugin.access_control import AccessControl
 from pqsec_pki.plugin.authentication import NO_TOKEN, Authentication, ValidationResult
 from pqsec_pki.plugin.calls import CALLS, MAGIC, VERSION
 from pqsec_pki.plugin.connection import AgentContext, Connection
+from pqsec_pki.plugin.greeting import files_seen
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.octets import MessageReader, MessageWriter
 from pqsec_pki.plugin.pending import PendingReplies
@@ -41,10 +42,14 @@ def with_room_for(connections):
 
 
 def greeting(plugin, *, magic=MAGIC, version=VERSION):
+    """The frame with which the command line begins, or a library in this process."""
     writer = MessageWriter()
     writer.text(magic)
     writer.number("I", version)
     writer.text(plugin)
+    if plugin != "control":
+        for each in (files_seen(), "", ""):
+            writer.text(each)
     return framed(writer.octets)
 
 

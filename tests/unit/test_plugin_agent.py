@@ -547,7 +547,7 @@ def _refusal_of(link):
 
 def test_more_connections_than_there_are_files_are_refused_and_those_that_are_stay(place):
     """Each needs files of its own too: keys are read when they are asked for."""
-    with running(place, runner=with_room_for(16)) as process:
+    with running(place, "300", runner=with_room_for(16)) as process:
         first = Client(place, "authentication")
         crowd = [connected(place, greeting("authentication")) for _ in range(60)]
         refused = list(filter(None, map(_refusal_of, crowd)))

@@ -269,7 +269,9 @@ def test_the_status_counts_the_objects_that_workers_have(place, tmp_path):
 def test_a_full_agent_can_still_be_asked_and_stopped(place):
     """It was refused like a host."""
     command = [*with_room_for(4), sys.executable, "-c", _RUNNER]
-    with subprocess.Popen([*command, str(place.socket)], stderr=subprocess.DEVNULL) as process:
+    with subprocess.Popen(
+        [*command, str(place.socket), "300"], stderr=subprocess.DEVNULL
+    ) as process:
         until(lambda: agent_status(place))
         with host(place), host(place):
             with pytest.raises(MalformedError, match="the agent is full: 4 connections"):

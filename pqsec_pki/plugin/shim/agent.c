@@ -24,7 +24,7 @@
 #define RUN_USER "/run/user"
 #endif
 
-enum { PATIENCE_MS = 5000, MAX_KEPT = 24 };
+enum { PATIENCE_MS = 5000 };
 
 int agent_patience_ms(void)
 {
@@ -113,20 +113,31 @@ bool agent_may_start(const char *path, int *lock)
   return false;
 }
 
-/* The agent gets few of the host's variables, and none for the loader or Python. */
+const char *files_seen(char *text, size_t size)
+{
+  char space[64];
+  struct stat root;
+  ssize_t length = readlink("/proc/self/ns/mnt", space, sizeof space);
+  text[0] = '\0';
+  if (stat("/", &root) == 0)
+    snprintf(text, size, "%.*s %ju:%ju", length > 0 ? (int)length : 0, space,
+             (uintmax_t)root.st_dev, (uintmax_t)root.st_ino);
+  return text;
+}
+
+/* The agent gets few of the host's variables, and none for the loader, the locale or Python: later
+ * hosts have it too. Whoever runs a program with more rights than its own gives the agent none. */
 static char **kept_environment(void)
 {
-  static const char *const names[] = {"HOME=", "LANG=", "LC_", "PATH=", "TZ=", "USER=",
-                                      "XDG_RUNTIME_DIR=", "PQSEC_PKCS11_MODULE=",
-                                      "PQSEC_PIN_FILE="};
-  static char *kept[MAX_KEPT + 1];
+  static const char *const names[] = {"HOME", "PATH", "XDG_RUNTIME_DIR", TOKENS_MODULE,
+                                      TOKENS_PIN_FILE};
+  static char *kept[sizeof names / sizeof *names + 1];
   size_t count = 0;
-  for (char **each = environ; *each != NULL && count < MAX_KEPT; each++)
-    for (size_t i = 0; i < sizeof names / sizeof *names; i++)
-      if (strncmp(*each, names[i], strlen(names[i])) == 0) {
-        kept[count++] = *each;
-        break;
-      }
+  for (size_t i = 0; i < sizeof names / sizeof *names; i++) {
+    char *value = secure_getenv(names[i]);
+    if (value != NULL)
+      kept[count++] = value - strlen(names[i]) - 1; /* NAME=value */
+  }
   kept[count] = NULL;
   return kept;
 }

@@ -17,7 +17,7 @@
 #include "agent.h"
 #include "frames.h"
 
-enum { VERSION = 3, RETRY_MS = 1, OTHERS_RETRY_MS = 10, CHALLENGE = 32 };
+enum { VERSION = 4, RETRY_MS = 1, OTHERS_RETRY_MS = 10, CHALLENGE = 32 };
 enum { DONE = 0 };
 
 void refuse(struct exception *ex, const char *format, ...)
@@ -112,9 +112,13 @@ static bool accepted(struct reader *reader, struct exception *ex)
 static bool greet(struct link *link, struct exception *ex)
 {
   struct writer hello = new_frame(), answer = {0};
+  char seen[128];
   put_string(&hello, "pqsec");
   put_u32(&hello, VERSION);
   put_string(&hello, link->plugin);
+  put_string(&hello, files_seen(seen, sizeof seen));
+  put_string(&hello, secure_getenv(TOKENS_MODULE));
+  put_string(&hello, secure_getenv(TOKENS_PIN_FILE));
   bool good = !hello.failed && exchange(link, &hello, &answer, ex);
   if (good) {
     struct reader reader = {.data = answer.data, .left = answer.size};

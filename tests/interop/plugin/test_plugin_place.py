@@ -5,6 +5,8 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -124,10 +126,70 @@ def test_an_interpreter_that_cannot_be_executed_is_told_with_the_true_reason(ask
     }
 
 
+_SHOWS = "#!/bin/sh\nenv > {0}.new\nmv {0}.new {0}\n"  # instead of the agent
+_VARIABLES = {
+    "PQSEC_PKCS11_MODULE": "/lib/tokens.so",
+    "PQSEC_PIN_FILE": "/pin",
+    "LC_ALL": "de_DE",
+    "TZ": "Asia/Tokyo",
+    "LD_PRELOAD": "",
+    "OPENSSL_CONF": "/nowhere",
+    "PYTHONPATH": "/nowhere",
+}
+
+
+def environment_of_agent(program, tmp_path):
+    """The variables of an agent that `program` starts."""
+    shown = tmp_path / "shown"
+    (tmp_path / "runtime").mkdir()
+    (tmp_path / "python").write_text(_SHOWS.format(shown))
+    (tmp_path / "python").chmod(0o755)
+    environment = {"XDG_RUNTIME_DIR": str(tmp_path / "runtime"), "HOME": "/nowhere", **_VARIABLES}
+    subprocess.run([program, "start"], env=environment, check=True, timeout=20)
+    end = time.monotonic() + 60
+    while not shown.exists() and time.monotonic() < end:
+        time.sleep(0.01)
+    found = dict(line.split("=", 1) for line in shown.read_text().splitlines())
+    return {name: value for name, value in found.items() if name not in {"PWD", "_", "OLDPWD"}}
+
+
+def test_an_agent_gets_no_variable_that_later_hosts_should_not_have(asked, tmp_path):
+    """In another locale, Python encoded the paths of all later hosts in another way."""
+    asked({"XDG_RUNTIME_DIR": "/nowhere"}, starts=tmp_path / "python")
+    assert environment_of_agent(tmp_path / "place", tmp_path) == {
+        "HOME": "/nowhere",
+        "XDG_RUNTIME_DIR": str(tmp_path / "runtime"),
+        "PQSEC_PKCS11_MODULE": "/lib/tokens.so",
+        "PQSEC_PIN_FILE": "/pin",
+    }
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root can make a program of another group")
+def test_who_runs_a_program_with_more_rights_does_not_choose_what_its_agent_loads(
+    asked, run_user, tmp_path
+):
+    """The library for tokens that PQSEC_PKCS11_MODULE names runs in the agent."""
+    (run_user / str(os.geteuid())).mkdir(parents=True)
+    asked({"XDG_RUNTIME_DIR": "/nowhere"}, starts=tmp_path / "python")
+    program = tmp_path / "place"
+    os.chown(program, 0, 65534)
+    program.chmod(0o2755)
+    assert environment_of_agent(program, tmp_path) == {}
+
+
+def test_the_library_and_the_agent_say_in_the_same_way_which_files_they_see(shim, labs):
+    with participant(shim.folder, labs("pq").alice):
+        agent = shim.wait_for_agent()
+        with closing(Client(shim.place, "authentication")):
+            assert shim.wait_for_agent() == agent
+    with participant(shim.folder, labs("pq").bob):
+        assert shim.wait_for_agent() == agent
+
+
 def test_a_full_agent_tells_the_library_that_it_is_full(shim, labs):
     """It hung up, and the library said that the agent was gone."""
     stop_agent(shim.place)
-    command = (sys.executable, "-I", "-m", "pqsec_pki.plugin", shim.place.socket)
+    command = (sys.executable, "-I", "-m", "pqsec_pki.plugin", shim.place.socket, "300")
     agent = subprocess.Popen([*with_room_for(16), *command], stderr=subprocess.DEVNULL)
     try:
         shim.wait_for_agent()
