@@ -152,19 +152,18 @@ class PostgresLedger:
         if self._in_change or self._holds:
             self._newest = _table.last(database)
 
-    def hold(self) -> None:
-        """Exclude other writers until `release`, or until the connection is closed."""
+    @contextmanager
+    def hold(self) -> Iterator[None]:
+        """Exclude other writers, for any number of changes; who gets an error closes it."""
         with self._errors():
             self._connection.execute("SELECT pg_advisory_lock(%s)", (_LOCK,))
         self._holds = True
-
-    def release(self) -> None:
-        """Let others write again; a connection that was lost does that by itself."""
+        yield
         self._holds, self._newest = False, None
         with suppress(psycopg.Error):
             self._connection.execute("SELECT pg_advisory_unlock(%s)", (_LOCK,))
             return
-        self.close()
+        self.close()  # which gives the lock back, too
 
     @contextmanager
     def change(self) -> Iterator[None]:

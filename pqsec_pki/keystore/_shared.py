@@ -7,7 +7,7 @@ One that makes one change after the other, as a server, keeps its connection bet
 import os
 import threading
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -89,12 +89,13 @@ def writing(
     """The same, for who has locked the keystore: no other machine adds lines meanwhile.
 
     With `address` it is that database, whatever the settings say. With `hold` the block may make
-    any number of changes; with `keep` its connection stays open for the next one of this thread.
+    any number of changes, each a transaction of its own; with `keep` its connection stays open for
+    the next one of this thread.
     """
     this = (os.getpid(), root)
     if this in _connections.open and address is None:
-        with _excluding(_connections.open[this], hold=hold) as connection:
-            yield connection
+        with nullcontext() if hold else _connections.open[this].change():
+            yield _connections.open[this]
         return
     wanted = address or _settings.read_ledger(root / layout.SETTINGS)
     if wanted is None:
@@ -104,23 +105,8 @@ def writing(
         if address is None:
             _connections.open[this] = connection
         try:
-            with _excluding(connection, hold=hold, begin=hold):
+            with connection.hold() if hold else connection.change():
                 yield connection
         finally:
             if address is None:
                 del _connections.open[this]
-
-
-@contextmanager
-def _excluding(
-    connection: "PostgresLedger", *, hold: bool, begin: bool = False
-) -> "Iterator[PostgresLedger]":
-    if begin:
-        connection.hold()
-    if hold:  # the block's changes are transactions of their own
-        yield connection
-    else:
-        with connection.change():
-            yield connection
-    if begin:  # after an error the connection is closed
-        connection.release()
