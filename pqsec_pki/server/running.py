@@ -62,12 +62,13 @@ def run_signer(
         cas = opened.anchors.identity_cas
         with noted(seen):
             desired, factories = read_domain(found.domain), read_factories(found.factories, cas)
+            waiting = found.waiting(opened)  # elsewhere if the ledger is moved
         return CallHandler(
             keystore=opened,
             authorities=authorities,
             desired=desired,
             clock=clock,
-            waiting=found.waiting(opened),
+            waiting=waiting,
             policy=found.policy,
             factories=factories,
             revocation_list=found.revocation_list,

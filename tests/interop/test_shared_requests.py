@@ -165,3 +165,18 @@ def test_a_stranger_has_its_share_of_all_servers_once(servers, tmp_path):
     found = [each["sha256"] for each in listed(servers[0])["requests"]]
     assert len(found) == 3
     assert made[-1].fingerprint in found
+
+
+def test_requests_of_a_ledger_that_is_moved_while_its_server_runs_wait_where_it_is(
+    cluster, tmp_path
+):
+    """They went on to the folder, where `requests list` did not look any more."""
+    server = Server(tmp_path, datetime.now(UTC) - timedelta(minutes=1), "classical", approval=True)
+    robots = [Robot(server, tmp_path / f"r{number}", "/fleet/r1") for number in range(3)]
+    address = cluster.address(cluster.database()).url
+    with server.running():
+        for each, goal in zip(robots, (None, address, "sqlite"), strict=True):
+            if goal:
+                server.cli("ledger", "move", goal)
+            assert server.ask(each.request).status == 202
+            assert each.request.fingerprint in [one["sha256"] for one in listed(server)["requests"]]
