@@ -80,6 +80,7 @@ TESTS = {
         "serve_work",
         "serve",
         "serve_approvals",
+        "serve_balancers",
         "serve_factories",
         "serve_hostile",
         "serve_signed",

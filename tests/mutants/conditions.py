@@ -31,10 +31,11 @@ ROOMS = (
 )  # fmt: skip
 PARTS = {
     "server": (
-        "admission", "deciding", "receipt_taking", "requester", "token_lines", "waiting"
+        "admission", "deciding", "proxy_header", "receipt_taking", "requester", "token_lines",
+        "waiting",
     )
 }  # fmt: skip
-"""Of these rooms only these modules, which decide who is admitted."""
+"""Of these rooms only these modules, which decide who is admitted, and whose limits count."""
 PACKAGE = "pqsec_pki"
 
 FOR_PEOPLE = {"__str__", "__repr__", "describe"}

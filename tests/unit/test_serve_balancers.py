@@ -47,6 +47,8 @@ TAKEN = [
     (text(SIX, "TCP6", "::1"), SIX),
     (b"PROXY UNKNOWN\r\n", ""),
     (b"PROXY UNKNOWN ffff::1 ffff::2 65535 65535\r\n", ""),
+    (b"PROXY UNKNOWN ".ljust(105, b"x") + b"\r\n", ""),
+    (b"PROXY TCP4 192.0.2.17 192.0.2.1 0 65535\r\n", ROBOT),
     (binary(ROBOT), ROBOT),
     (binary(SIX), SIX),
     (binary(ROBOT, rest=TLVS), ROBOT),
@@ -82,7 +84,7 @@ REFUSED = [
     b"PROXY TCP6 fe80::1%eth0 ::1 1 1\r\n",
     b"PROXY TCP6 ::1 fe80::1%eth0 1 1\r\n",
     b"PROXY TCP6 ::1 nowhere 1 1\r\n",
-    b"PROXY UNKNOWN " + b"x" * 100,
+    b"PROXY UNKNOWN ".ljust(107, b"x"),
     b"PROXY TCP4 1.2.3.4 1.2.3.4 1 1\n" + b" " * 107,
     binary(ROBOT, command=0x22),
     binary(ROBOT, command=0x11),
@@ -98,7 +100,8 @@ REFUSED = [
 
 @pytest.mark.parametrize(("header", "client"), TAKEN)
 def test_a_header_is_read_to_its_end_and_not_further(header, client):
-    assert ProxyHeader.of(header + b"\x16\x03\x01") == ProxyHeader(len(header), client)
+    for behind in (b"", b"\x16\x03\x01"):
+        assert ProxyHeader.of(header + behind) == ProxyHeader(len(header), client)
     assert all(ProxyHeader.of(header[:size]) is None for size in range(len(header)))
 
 
