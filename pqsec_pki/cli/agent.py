@@ -6,7 +6,7 @@ import signal
 from pqsec_pki._files import is_there, read
 from pqsec_pki.cli import _help, _printing, _progress, _settings
 from pqsec_pki.errors import ExistsError, FileError
-from pqsec_pki.plugin import AgentFolder, AgentStatus, agent_status, stop_agent
+from pqsec_pki.plugin import AgentFolder, AgentStatus, agent_status, retired_agents, stop_agent
 
 _NOT_RUNNING = "no agent runs: the first participant that uses the plugin starts one"
 
@@ -33,13 +33,18 @@ def agent() -> None:
 )
 @_settings.command_options
 def status() -> int:
-    """Show whether the plugin's agent runs, and which processes use it."""
-    found = agent_status(_agent_folder())
-    if found is None:
-        _printing.emit({"running": False}, [_NOT_RUNNING])
-        return 1
-    _printing.emit(found.to_json(), _lines(found))
-    return 0
+    """Show whether the plugin's agent runs, and which processes use it.
+
+    Agents that serve no new hosts, as after an update, are shown below it while they have hosts.
+    """
+    folder = _agent_folder()
+    found, retired = agent_status(folder), retired_agents(folder)
+    lines = _lines(found) if found else [_NOT_RUNNING]
+    for each in retired:
+        lines += ["", *_lines(each)]
+    own = found.to_json() if found else {}
+    _printing.emit({"running": found is not None, **own, "retired": retired}, lines)
+    return 0 if found else 1
 
 
 @agent.command(
@@ -54,7 +59,7 @@ def status() -> int:
 )
 @_settings.command_options
 def stop() -> None:
-    """Stop the agent.
+    """Stop the agent, and those that serve no new hosts.
 
     Matched participants continue to exchange data. New participants start a new agent. A
     participant that was created earlier cannot authenticate new peers and is not informed
@@ -127,6 +132,7 @@ def _lines(found: AgentStatus) -> list[str]:
         f"workers   {' '.join(map(str, found.workers)) or 'none: no host is connected'}",
         f"version   {found.version}",
         f"socket    {found.socket}",
+        *([f"notice    {found.notice}"] if found.notice else []),
     ]
     rows = [(each["process"], each["plugin"], str(each["objects"])) for each in found.connections]
     return lines + (["", *_printing.table(("HOST", "PLUGIN", "OBJECTS"), rows)] if rows else [])

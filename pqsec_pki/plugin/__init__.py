@@ -12,7 +12,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.plugin.agent_folder import AgentFolder
     from pqsec_pki.plugin.building import LIBRARY, NAMES, Built, build
-    from pqsec_pki.plugin.control import AgentStatus, agent_status, stop_agent
+    from pqsec_pki.plugin.control import AgentStatus, agent_status, retired_agents, stop_agent
     from pqsec_pki.plugin.settings import SETTINGS
     from pqsec_pki.plugin.units import home, units_folder, written_units
 else:
@@ -28,6 +28,7 @@ __all__ = [
     "agent_status",
     "build",
     "home",
+    "retired_agents",
     "stop_agent",
     "units_folder",
     "written_units",

@@ -54,6 +54,16 @@ class AgentFolder:
     def log(self) -> Path:
         return self.folder / "agent.log"
 
+    @property
+    def own_retired(self) -> Self:
+        """Where this process can be asked after it has retired."""
+        return type(self)(self.folder / f"retired-{os.getpid()}.sock")
+
+    @property
+    def retired(self) -> list[Self]:
+        """Where agents can be asked that serve no new hosts; some may have been killed."""
+        return [type(self)(path) for path in sorted(self.folder.glob("retired-*.sock"))]
+
     def prepare(self) -> None:
         """Create the folder; FileError if other users own it or may enter it."""
         with disk_errors(self.folder):

@@ -23,16 +23,18 @@ class AgentStatus:
     version: str
     socket: str
     connections: tuple[dict[str, Any], ...]
+    notice: str = ""
+    """What the user should know of it, and do."""
 
     def to_json(self) -> dict[str, object]:
         """The status for --json."""
         return {
-            "running": True,
             "process": self.process,
             "workers": self.workers,
             "agent_version": self.version,
             "socket": self.socket,
             "connections": self.connections,
+            "notice": self.notice,
         }
 
 
@@ -128,11 +130,28 @@ def agent_status(place: AgentFolder) -> AgentStatus | None:
         found["version"],
         found["socket"],
         tuple(found["connections"]),
+        found.get("notice", ""),
     )
 
 
+def retired_agents(place: AgentFolder) -> list[AgentStatus]:
+    """The agents that serve no new hosts, and have some still. FileError as agent_status."""
+    if not place.is_there():
+        return []
+    return [found for each in place.retired if (found := agent_status(each))]
+
+
 def stop_agent(place: AgentFolder) -> bool:
-    """Stop the agent, and wait until its socket is removed. Whether there was an agent."""
+    """Stop the agent, and those that have retired, and wait until their sockets are removed.
+
+    Whether there was an agent.
+    """
+    retired = place.retired if place.is_there() else []
+    stopped = [_stop(each) for each in (place, *retired)]  # all of them
+    return any(stopped)
+
+
+def _stop(place: AgentFolder) -> bool:
     if agent_status(place) is None:
         return False
     client = Client(place, "control")

@@ -6,7 +6,7 @@ import socket
 import stat
 import struct
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -85,6 +85,13 @@ def answers(path: Path) -> bool:
         except OSError:
             return False
         return True
+
+
+def remove_unused(paths: Iterable[Path]) -> None:
+    """Remove the sockets at which no process listens."""
+    for path in paths:
+        if not answers(path):
+            path.unlink(missing_ok=True)
 
 
 def made(path: Path) -> tuple[int, int]:

@@ -44,6 +44,7 @@ _SPARE = 8
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
 _CALM = 1.0
 """Seconds in which nobody asks, before the agent loads what its first start did not wait for."""
+_REPLACED = "another version was installed"
 _PAUSE = 0.5
 """Seconds until the next try to accept a connection, if the system had no file left."""
 
@@ -67,7 +68,9 @@ class Agent:
         """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
         self._deaf_until = 0.0
-        self._is_retired = self._has_served = self._stopping = False
+        self._why = ""
+        """Why it has retired; empty if it has not."""
+        self._has_served = self._stopping = False
 
     def run(
         self, ready: Callable[[], None] = lambda: None, given: socket.socket | None = None
@@ -84,6 +87,7 @@ class Agent:
         with listening.lock(self._place.lock):
             if listening.answers(self._place.socket):
                 return False
+            listening.remove_unused(each.socket for each in self._place.retired)
             listener = listening.bound(self._place.socket)
             own = listening.made(self._place.socket)
         self._listen_at(listener, ready)
@@ -111,15 +115,17 @@ class Agent:
 
     def _end(self) -> None:
         self._workers.end()
+        is_shown = bool(self._why) and self._listener.fileno() >= 0
+        self._listener.close()
+        if is_shown:
+            self._place.own_retired.socket.unlink(missing_ok=True)
         for each in self._links:
             each.close()
         self._log("ended")
 
     def _serve(self) -> None:
         end = time.monotonic() + max(self._idle, _GRACE_SECONDS)
-        while not self._stopping and (
-            self._count or (time.monotonic() < end and not self._is_retired)
-        ):
+        while not self._stopping and (self._count or (time.monotonic() < end and not self._why)):
             busy = bool(self._count)
             wait = _LONGEST_WAIT if busy else min(end - time.monotonic(), _LONGEST_WAIT)
             found = self._selector.select(min(wait, self._rest()))
@@ -238,11 +244,11 @@ class Agent:
 
         Its library is told nothing, so it asks again, and starts what is installed now.
         """
-        if not self._is_retired and (why := self._misfit(guest, greeting)):
+        if not self._why and (why := self._misfit(guest, greeting)):
             self._retire(why)
-        if self._is_retired:
+        if self._why:
             guest.link.close()
-        return self._is_retired
+        return bool(self._why)
 
     def _misfit(self, guest: Guest, greeting: Greeting | None) -> str:
         """Why this agent cannot serve the host; empty if it can.
@@ -250,21 +256,27 @@ class Agent:
         It can serve its first one, which started it: else that would start one after another.
         """
         if self._is_old():
-            return "another version was installed"
+            return _REPLACED
         if greeting is None or not (self._inherited and self._has_served):
             return ""
         return self._inherited.misfit(guest.link, guest.process, greeting)
 
     def _retire(self, why: str) -> None:
-        """Listen no more; hosts stay until they end.
+        """Listen for the command line alone; hosts stay until they end.
 
         The file of the socket stays, as that of an agent that was killed: the next one replaces it.
         """
         self._notes.add(f"{why}: a new agent serves the next hosts")
         if not self._deaf_until:
             self._selector.unregister(self._listener)
-        self._is_retired, self._deaf_until = True, 0.0
+        self._why, self._deaf_until = why, 0.0
         self._listener.close()
+        try:
+            self._listener = listening.bound(self._place.own_retired.socket)
+        except PqsecError as error:
+            self._notes.add(f"it is not shown by `pqsec agent status`: {error}")
+        else:
+            self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._welcome())
 
     def _obey(self, guest: Guest) -> None:
         connection = Connection(self._context, guest.who, CONTROL)
@@ -327,12 +339,19 @@ class Agent:
         return {
             "process": os.getpid(),
             "workers": self._workers.processes,
-            "socket": str(self._place.socket),
+            "socket": str((self._place.own_retired if self._why else self._place).socket),
+            "notice": self._notice(),
             "connections": [
                 {"process": who, "plugin": plugin, "objects": count}
                 for who, plugin, count in sorted(found)
             ],
         }
+
+    def _notice(self) -> str:
+        """What the user should know of it, and do."""
+        if self._is_old():
+            return f"{_REPLACED}: restart these hosts, which keep the one before"
+        return f"{self._why}: it serves only the hosts that it has" if self._why else ""
 
     def _stop(self) -> None:
         self._stopping = True

@@ -175,7 +175,7 @@ def test_who_has_no_home_is_told_what_to_do(pqsec, monkeypatch, line):
 
 def test_no_agent_is_no_error_but_no_yes_either(pqsec, runtime):
     assert pqsec("agent status").code == 1
-    assert pqsec("agent status --json").json == {"running": False}
+    assert pqsec("agent status --json").json == {"running": False, "retired": []}
     assert pqsec("agent stop").done().out.startswith("no agent runs")
     pqsec("agent log").refused(3, "there is no log")
 

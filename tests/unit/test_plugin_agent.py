@@ -20,7 +20,7 @@ import pytest
 import pqsec_pki
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.errors import FileError, MalformedError
-from pqsec_pki.plugin import AgentFolder, agent_status, listening, stop_agent
+from pqsec_pki.plugin import AgentFolder, agent_status, listening, retired_agents, stop_agent
 from pqsec_pki.plugin import agent_folder as place_module
 from pqsec_pki.plugin import staying as staying_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
@@ -283,6 +283,63 @@ def test_the_next_host_is_not_served_by_a_program_that_was_replaced(place, tmp_p
             host.close()
             assert process.wait(PATIENCE) == 0
             assert agent_status(place).process == second.pid
+
+
+def test_an_agent_that_serves_no_new_hosts_is_shown_with_its_hosts_and_stopped(place, tmp_path):
+    """Nobody saw that hosts still used the version before an update, or which."""
+    with staying(place, tmp_path, "schemas") as process:
+        assert agent_status(place).notice == ""
+        host = Client(place, "authentication")
+        installed_anew(tmp_path)
+        assert agent_status(place).notice.startswith("another version was installed: restart")
+        assert is_turned_away(place)
+        (found,) = retired_agents(place)
+        assert (found.process, len(found.connections)) == (process.pid, 1)
+        assert found.notice == (
+            "another version was installed: restart these hosts, which keep the one before"
+        )
+        assert Path(found.socket).name == f"retired-{process.pid}.sock"
+        late = AgentFolder(Path(found.socket))
+        with pytest.raises(FileError, match="the agent does not answer"):
+            Client(late, "authentication")  # it answers the command line alone
+        with running(place) as second:
+            assert agent_status(place).process == second.pid
+            assert [each.process for each in retired_agents(place)] == [process.pid]
+            assert stop_agent(place)
+            assert [each.wait(PATIENCE) for each in (process, second)] == [0, 0]
+        assert retired_agents(place) == []
+        assert list(place.folder.glob("*.sock")) == []
+        host.close()
+
+
+def test_an_agent_that_has_retired_leaves_no_socket_when_its_hosts_have_gone(place, tmp_path):
+    with staying(place, tmp_path, "schemas") as process:
+        host = Client(place, "authentication")
+        installed_anew(tmp_path)
+        assert is_turned_away(place)
+        host.close()
+        assert process.wait(PATIENCE) == 0
+        assert list(place.folder.glob("retired-*")) == []
+
+
+def test_a_socket_of_a_killed_agent_that_had_retired_is_removed_by_the_next(place):
+    left = place.folder / "retired-7.sock"
+    with socket.socket(socket.AF_UNIX) as listener:
+        listener.bind(str(left))
+    assert retired_agents(place) == []
+    with running(place):
+        assert not left.exists()
+
+
+def test_an_agent_that_cannot_be_shown_still_retires(place, tmp_path):
+    with staying(place, tmp_path, "schemas") as process:
+        host = Client(place, "authentication")
+        (place.folder / f"retired-{process.pid}.sock").mkdir()
+        installed_anew(tmp_path)
+        assert is_turned_away(place)
+        host.close()
+        assert process.wait(PATIENCE) == 0
+        assert "it is not shown by `pqsec agent status`" in process.stderr.read()
 
 
 def test_a_library_of_another_version_gets_the_agent_that_was_installed_with_it(place, tmp_path):

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.plugin import AgentFolder, agent_status, listening
+from pqsec_pki.plugin import AgentFolder, agent_status, listening, retired_agents
 from pqsec_pki.plugin.control import Client
 from tests.unit.test_plugin_agent import PATIENCE, until
 
@@ -271,6 +271,8 @@ def test_hosts_of_the_agent_that_serves_no_others_stay(place):
         first = Client(place, "authentication")
         assert TURNED_AWAY in host(place, OTHER_MOUNTS)
         assert process.poll() is None
+        (found,) = retired_agents(place)
+        assert found.notice.endswith("or root folder: it serves only the hosts that it has")
         first.close()
         assert process.wait(PATIENCE) == 0
         said = process.stderr.read()
