@@ -19,7 +19,7 @@ import pytest
 from pqsec_pki.algorithms import _pbes2
 from pqsec_pki.inspection._key import FEW_ITERATIONS
 from tests.libraries import Libraries, libraries
-from tests.longer import ALL_CASES, LONG, gate_part
+from tests.longer import ALL_CASES, LONG, gate_part, named
 from tests.measured import pytest_sessionstart
 
 __all__ = ["pytest_sessionstart"]
@@ -45,8 +45,9 @@ or ROS 2's tools, which no registry has, and is run by hand."""
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     """Leave out what is in `.ci/long`. Workers begin with the files that have most slow tests."""
-    if not ALL_CASES and not any("::" in each for each in config.args):
-        kept = gate_part(items)
+    if not ALL_CASES:
+        always = named(items, config.args, config.invocation_params.dir)
+        kept = always | gate_part(item for item in items if item not in always)
         if left := [item for item in items if item not in kept]:
             config.hook.pytest_deselected(items=left)
             items[:] = [item for item in items if item in kept]

@@ -50,6 +50,19 @@ def some(rows: Sequence[Case], turn: int = 0) -> Sequence[Case]:
     return rows if LONG else rows[turn % FEW :: FEW]
 
 
+def named(items: Iterable[pytest.Item], arguments: Iterable[str], folder: Path) -> set[pytest.Item]:
+    """Those that arguments of a command in that folder name with `::`."""
+    pairs = [each.partition("::")[::2] for each in arguments if "::" in each]
+    wanted = [(Path(os.path.abspath(folder / file)), name) for file, name in pairs]  # noqa: PTH100
+    return {
+        item
+        for item in items
+        for path, name in wanted
+        if item.path == path
+        and f"{item.nodeid}[".partition("::")[2].startswith((f"{name}[", f"{name}::"))
+    }
+
+
 def gate_part(items: Iterable[pytest.Item]) -> set[pytest.Item]:
     """Those that the gate runs; UsageError if `longer.toml` leaves out a case that there is not."""
     parts = tomllib.loads((TESTS / "longer.toml").read_text())

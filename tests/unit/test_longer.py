@@ -84,7 +84,13 @@ def test_the_gate_runs_a_part_and_the_longer_job_all(toy):
     assert "1 failed, 6 passed, 5 deselected" in gate
     for long in ("1", "cases"):
         assert "2 failed, 10 passed" in toy(long, "tests")
-    assert "1 failed" in toy("", "tests/test_toy.py::test_matrix[cyclonedds-1-pq]")
+
+
+@pytest.mark.slow
+def test_what_is_named_runs_and_of_files_beside_it_a_part(toy, tmp_path):
+    (tmp_path / "tests" / "test_other.py").write_text(TOY)
+    said = toy("", "tests/test_toy.py::test_table[1]", "tests/test_other.py")
+    assert "1 failed, 9 passed, 3 deselected" in said
 
 
 @pytest.mark.slow
