@@ -22,6 +22,8 @@ JUSTIFIED = {
     "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
     "Delete its enclave. To allow it again, run `pqsec issue` with --force"
     " --after-revocation.": IF_WANTED,
+    "remove it from the file, or run `pqsec issue {} --validity {} --force --after-revocation`, and"
+    " apply it again": IF_WANTED,
     "issue it again: pqsec issue --force, with its topics or a --policy": SAYS_WHAT,
     "issue it again: `pqsec issue` with --force and all its topics; with --csr if its key is on"
     " the robot": SAYS_WHAT,

@@ -38,7 +38,7 @@ FILES = {
         tls: [{chain: a.pem, key: a.key}], classical: true, passphrase_file: p, front_user: www,
         factories: {acme: {cas: a.pem, revocation_lists: [a.crl, b.crl], again: true}, b: {cas: c}},
         approval: true, retry_seconds: 60, renew: due, renew_expired: 30d, token_validity: 7d,
-        revocation_list: 26w,
+        revocation_list: 26w, requests: waiting, proxy_from: [10.0.0.1, 'fd00::/8'],
         limits: {connections: 1,
         connections_of_address: 2, requests_of_address: 3, requests_of_label: 4, seconds: 5,
         body: 6, buffered: 7, waiting: 8}}
