@@ -6,6 +6,7 @@ code. Two scripts write the rest: rules_page.py rules.md, and man_pages.py the m
 """
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -25,15 +26,17 @@ FOLDER = ROOT / "docs/reference"
 MADE = "Generated from {} by `python tests/docs/reference_pages.py`: do not edit this page."
 
 
-def pages() -> dict[str, str]:
-    """The text of each page by its file name."""
+def pages() -> dict[str, Callable[[], str]]:
+    """By the file name of each page, a function that makes its text."""
     return {
-        "all-commands.md": _commands(),
-        "attack-list.md": _attacks(),
-        "decisions.md": _page("tests/docs/decisions.py", *decisions.parts()),
-        "study-tables.md": _page("`examples/study/results`", *_study()),
-        "wire-tables.md": _page("the tables of algorithms and limits", *wire_tables.parts()),
-        "yaml-keys.md": _page("the JSON Schemas in `schemas/`", *yaml_keys.parts()),
+        "all-commands.md": _commands,
+        "attack-list.md": _attacks,
+        "decisions.md": lambda: _page("tests/docs/decisions.py", *decisions.parts()),
+        "study-tables.md": lambda: _page("`examples/study/results`", *_study()),
+        "wire-tables.md": lambda: _page(
+            "the tables of algorithms and limits", *wire_tables.parts()
+        ),
+        "yaml-keys.md": lambda: _page("the JSON Schemas in `schemas/`", *yaml_keys.parts()),
     }
 
 
@@ -93,8 +96,8 @@ def _checks(codes: tuple[Code, ...]) -> str:
 
 def main() -> None:
     """Write all pages."""
-    for name, text in pages().items():
-        (FOLDER / name).write_text(text)
+    for name, made in pages().items():
+        (FOLDER / name).write_text(made())
 
 
 if __name__ == "__main__":

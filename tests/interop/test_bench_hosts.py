@@ -58,13 +58,18 @@ def test_three_hosts_meet_where_frames_get_lost(stack):
 
 def test_hosts_send_the_version_of_messages_that_is_asked_for(stack):
     """Of the same participants, the second has fewer bytes; what knows one version has that."""
-    words = ["--stack", stack, "--profile", "pq", "--rounds", "2", "--samples", "0", "--json"]
-    done = bench(*words, "--wire-version", "1", "--wire-version", "2")
-    assert done.returncode == 0, done.stderr
-    runs = json.loads(done.stdout)["runs"]
-    assert [(each["wire_version"], each["complete"]) for each in runs] == [(1, 2), (2, 2)] * 2
-    first, second = (min(each["frame_bytes"] for each in runs[start::2]) for start in (0, 1))
-    assert first - second > 8_000  # 13 kB of messages; a busy machine may repeat others
+    words = ["--stack", stack, "--profile", "pq", "--rounds", "1", "--samples", "0", "--json"]
+    sent = {1: [], 2: []}
+    for _ in range(8):  # hosts on a busy machine repeat messages
+        done = bench(*words, "--wire-version", "1", "--wire-version", "2")
+        assert done.returncode == 0, done.stderr
+        runs = json.loads(done.stdout)["runs"]
+        assert [(each["wire_version"], each["complete"]) for each in runs] == [(1, 2), (2, 2)]
+        for each in runs:
+            sent[each["wire_version"]].append(each["frame_bytes"])
+        if min(sent[1]) - min(sent[2]) > 8_000:  # 13 kB of messages
+            return
+    pytest.fail(f"the second version saves too little: {sent}")
 
 
 def test_without_security_and_without_loss_there_is_no_handshake(stack):
