@@ -1,6 +1,7 @@
 """The evaluation: talkers and listeners in real stacks, classical to post-quantum, under loss.
 
-Run: python study.py RESULTS [--part PART...] [--stack STACK...] [--rounds N] [--small]
+Run: python study.py RESULTS [--part PART...] [--stack STACK...] [--hosts N...] [--rounds N]
+[--small]
 
 It needs pqsec with its extra `plot`, the stacks, and what `pqsec bench --stack` needs. RESULTS is a
 folder: one CSV for each part and stack, to which each round is added, so a study can be continued.
@@ -149,6 +150,7 @@ def main():
     parser.add_argument(
         "--stack", nargs="+", choices=list(map(str, STACKS)), default=list(STACKS), help="[all]"
     )
+    parser.add_argument("--hosts", type=int, nargs="+", help="only cases of so many hosts [all]")
     parser.add_argument("--rounds", type=int, help="rounds of each part [20 of pairs, 5 of hosts]")
     parser.add_argument("--small", action="store_true", help="minutes instead of hours")
     words = parser.parse_args()
@@ -158,6 +160,7 @@ def main():
             suites(10 if words.small else 200, words.results)
             continue
         matrix = (SMALL if words.small else PARTS)[part]
+        matrix = [each for each in matrix if each.hosts in (words.hosts or [each.hosts])]
         rounds = words.rounds or (2 if words.small else ROUNDS[part])
         for stack in words.stack:
             measure(part, str(stack), matrix, rounds, words.results)

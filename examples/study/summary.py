@@ -216,10 +216,14 @@ def tables(folder):
     _, many = read(folder, "hosts")
     if many:
         yield from ["## Many hosts", "", *of_hosts(many)]
-    every = (*pairs.values(), *versions.values(), *many.values())
-    loads = [each["load"] for runs in every for each in runs]
-    if loads:
-        yield f"Load before the runs: median {number(median(loads))}, at most {number(max(loads))}."
+    parts = {"two hosts": pairs, "both versions": versions, "many hosts": many}
+    if loads := [of_loads(words, cases) for words, cases in parts.items() if cases]:
+        yield f"Load before the runs, median and highest: {'; '.join(loads)}."
+
+
+def of_loads(words, cases):
+    loads = [each["load"] for runs in cases.values() for each in runs]
+    return f"{words} {number(median(loads))}, {number(max(loads))}"
 
 
 def measured_suites(folder):
