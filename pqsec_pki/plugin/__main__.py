@@ -78,7 +78,8 @@ def main(arguments: list[str]) -> int:
     place, *more = arguments[detach:]
     idle = float(more[0]) if more else IDLE_SECONDS
     undo_hosts_settings()
-    agent = Agent(AgentFolder(Path(place)), idle, _now, _log, stays=not more)
+    starter = os.getppid() if detach else None
+    agent = Agent(AgentFolder(Path(place)), idle, _now, _log, stays=not more, starter=starter)
     try:
         agent.run(_detach if detach else lambda: None)
     except PqsecError as error:

@@ -34,6 +34,9 @@ MAX_CONNECTIONS = 512
 """Connections. A DDS process has two for each domain."""
 _GRACE_SECONDS = 20.0
 """Seconds that the process that started the agent may take to connect."""
+_STARTER_SECONDS = 2.0
+"""Seconds in which that process is heard first. Another one that were served before could use the
+rights of its groups, or, if it cannot be served, end the agent that the first one waits for."""
 _LONGEST_WAIT = 3600.0
 _ANSWER_SECONDS = 1.0
 """Seconds that workers may take to count their objects; else their former answer is shown."""
@@ -52,25 +55,35 @@ _PAUSE = 0.5
 class Agent:
     """The agent. It listens until it is stopped, or no process was connected for `idle` seconds.
 
-    With `stays`, it then ends only if it should no longer stay.
+    With `stays`, it then ends only if it should no longer stay. `starter` is the host that started
+    it, if one did.
     """
 
-    def __init__(
-        self, place: AgentFolder, idle: float, clock: Clock, log: Log, *, stays: bool = False
+    def __init__(  # noqa: PLR0913 -- the rarer ones by name
+        self,
+        place: AgentFolder,
+        idle: float,
+        clock: Clock,
+        log: Log,
+        *,
+        stays: bool = False,
+        starter: int | None = None,
     ) -> None:
         self._place, self._idle, self._clock, self._log = place, idle, clock, log
-        self._stays = stays
+        self._stays, self._starter = stays, starter
         self._is_loaded = False
         self._notes = Notes("agent", log, clock)
         self._context = AgentContext(clock, log, self._status, self._stop)
         self._guests: set[Guest] = set()
+        self._early: list[Guest] = []
+        """Of these, the ones that are not heard before the host that started the agent."""
         self._clients: dict[OpenConnection, float] = {}
         """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
-        self._deaf_until = 0.0
+        self._deaf_until = self._early_until = 0.0
         self._why = ""
         """Why it has retired; empty if it has not."""
-        self._has_served = self._stopping = False
+        self._stopping = False
 
     def run(
         self, ready: Callable[[], None] = lambda: None, given: socket.socket | None = None
@@ -109,6 +122,8 @@ class Agent:
         self._selector = selectors.DefaultSelector()  # which would not outlive a fork
         self._workers = Workers(self._work, self._selector, self._notes.add)
         self._selector.register(listener, selectors.EVENT_READ, lambda _: self._welcome())
+        if self._inherited and self._starter is not None:
+            self._early_until = time.monotonic() + _STARTER_SECONDS
         self._log(f"listening at {self._place.socket}")
         with listener:
             self._serve()
@@ -133,6 +148,8 @@ class Agent:
                 if key.fileobj.fileno() >= 0:  # type: ignore[union-attr] # may be closed since
                     key.data(events)
             self._answer()
+            if self._early_until and time.monotonic() >= self._early_until:
+                self._hear_all()
             if not (found or self._is_loaded):
                 self._is_loaded = True
                 load_the_rest(self._notes.add)
@@ -158,6 +175,8 @@ class Agent:
             waits.append(idle)
         if not self._is_loaded:
             waits.append(_CALM)
+        if self._early_until:
+            waits.append(self._early_until - now)
         if self._deaf_until > now:
             waits.append(self._deaf_until - now)
         elif self._deaf_until:  # the pause is over
@@ -184,7 +203,19 @@ class Agent:
         else:
             guest = Guest(link, process)
             self._guests.add(guest)
-            self._selector.register(link, selectors.EVENT_READ, lambda _: self._greet(guest))
+            if self._early_until and process != self._starter:
+                self._early.append(guest)
+            else:
+                self._hear(guest)
+
+    def _hear(self, guest: Guest) -> None:
+        self._selector.register(guest.link, selectors.EVENT_READ, lambda _: self._greet(guest))
+
+    def _hear_all(self) -> None:
+        """The host that started the agent has been heard, or does not come."""
+        early, self._early, self._early_until = self._early, [], 0.0
+        for each in early:
+            self._hear(each)
 
     def _greet(self, guest: Guest) -> None:
         try:
@@ -210,6 +241,8 @@ class Agent:
         else:
             self._hand_over(guest, greeting)
         self._guests.discard(guest)
+        if self._early_until and guest.process == self._starter:
+            self._hear_all()
 
     def _leave(self, guest: Guest) -> None:
         """Forget a connection that did not greet."""
@@ -234,7 +267,6 @@ class Agent:
             guest.link.send(GREETED)
             self._workers.serve(guest.link, Served(guest.process, guest.who, greeting.plugin))
             guest.link.close()
-            self._has_served = True
         except OSError as error:
             self._notes.add(f"{guest.who} is not served: {error.strerror}")
             refuse(guest.link, f"no worker can serve it: {error.strerror}")
@@ -253,13 +285,20 @@ class Agent:
     def _misfit(self, guest: Guest, greeting: Greeting | None) -> str:
         """Why this agent cannot serve the host; empty if it can.
 
-        It can serve its first one, which started it: else that would start one after another.
+        It serves the one that started it: else that would start one after another.
         """
         if self._is_old():
             return _REPLACED
-        if greeting is None or not (self._inherited and self._has_served):
+        if greeting is None or not self._inherited or self._is_starter(guest):
             return ""
         return self._inherited.misfit(guest.link, guest.process, greeting)
+
+    def _is_starter(self, guest: Guest) -> bool:
+        """Whether it is of that process; a later one may have its number."""
+        is_there = self._early_until or any(
+            each.process == self._starter for each in self._workers.served
+        )
+        return bool(is_there) and guest.process == self._starter
 
     def _retire(self, why: str) -> None:
         """Listen for the command line alone; hosts stay until they end.

@@ -42,6 +42,25 @@ _HOST = (
     "except FileError as error:\n"
     "    sys.exit(str(error))\n"
 )
+# Starts an agent as a library does, and connects when it is told to.
+_STARTER = (
+    "import ctypes, os, resource, sys\n"
+    "from pathlib import Path\n"
+    "from pqsec_pki.plugin import AgentFolder, __main__\n"
+    "from pqsec_pki.plugin.control import Client\n"
+    "exec(sys.argv[1])\n"
+    "assert not ctypes.CDLL(None).prctl(36, 1)\n"  # its agent stays its child
+    "if not (agent := os.fork()):\n"
+    "    os._exit(__main__.main(['--detach', sys.argv[2]]))\n"
+    "os.waitpid(agent, 0)\n"
+    "print('listens', flush=True)\n"
+    "for line in sys.stdin:\n"
+    "    exec(line)\n"
+    "    Client(AgentFolder(Path(sys.argv[2])), 'authentication')\n"
+    "    print('served', flush=True)\n"
+    "for agent in Path('/proc/thread-self/children').read_text().split():\n"
+    "    os.kill(int(agent), 9)\n"
+)
 # What they do before they begin.
 OTHER_MOUNTS = "assert not ctypes.CDLL(None).unshare(0x20000)"
 OTHER_ROOT = "os.chroot(place.folder); place = AgentFolder(Path('/agent.sock'))"
@@ -125,7 +144,7 @@ TURNED_AWAY = "the agent does not answer"
 
 @contextmanager
 def agent(place, prelude="", **variables):
-    """One that stays for later hosts, and has served the one that started it."""
+    """One that stays for later hosts, and has served one."""
     with running(place, prelude, **variables) as process:
         assert host(place, prelude, **variables) == ""
         yield process
@@ -164,7 +183,7 @@ def test_a_host_that_sees_other_files_is_not_served_with_those_of_the_first(plac
 
 
 def test_a_host_is_not_served_by_an_agent_of_another_mount_name_space(place):
-    with agent(place, OTHER_MOUNTS):
+    with running(place, OTHER_MOUNTS):
         assert TURNED_AWAY in host(place)
 
 
@@ -245,10 +264,71 @@ def test_a_host_with_another_library_of_tokens_gets_an_agent_that_loads_it(place
         assert TURNED_AWAY in host(place, **{name: "/two"})
 
 
-def test_the_first_host_is_served_whatever_it_has(place):
+@contextmanager
+def started(place, prelude=""):
+    """A host that has started an agent, and has not connected to it."""
+    if "setuid" in prelude:
+        os.chown(place.folder, NOBODY, NOBODY)
+    pipe = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
+    process = subprocess.Popen(
+        python(_STARTER, prelude, place), env=environment({}), text=True, **pipe
+    )
+    try:
+        assert process.stdout.readline() == "listens\n"
+        yield process
+    finally:
+        process.communicate()
+
+
+def tell(starter, before=""):
+    """What the host says when it has done `before` and connected."""
+    print(before, file=starter.stdin, flush=True)
+    return starter.stdout.readline()
+
+
+def test_the_host_that_started_the_agent_is_served_whatever_it_has(place):
     """Else it would start one agent after another."""
-    with running(place):
-        assert host(place, OTHER_MOUNTS) == ""
+    with started(place) as starter:
+        assert tell(starter, OTHER_MOUNTS) == "served\n"
+
+
+def test_all_connections_of_the_host_that_started_the_agent_are_served(place):
+    with started(place) as starter:
+        keep = "first = Client(AgentFolder(Path(sys.argv[2])), 'access_control')"
+        assert tell(starter, keep) == tell(starter, OTHER_MOUNTS) == "served\n"
+
+
+def test_a_process_with_the_number_of_the_host_that_started_the_agent_is_not_that_host(place):
+    with started(place) as starter:
+        assert tell(starter) == "served\n"
+        until(lambda: agent_status(place).connections == ())
+        assert tell(starter, OTHER_MOUNTS) == ""
+
+
+def test_a_host_that_connects_before_the_one_that_started_the_agent_has_none_of_its_rights(place):
+    """The first to connect was served with the groups of the host that started the agent."""
+    with started(place, as_nobody(groups=(100, 200))) as starter:
+        other = subprocess.Popen(
+            python(_HOST, as_nobody(groups=(100,)), place),
+            env=environment({}),
+            stderr=subprocess.PIPE,
+            text=True,
+        )
+        until(lambda: len(connections(place)) == 2)
+        assert tell(starter) == "served\n"
+        assert TURNED_AWAY in other.communicate(timeout=PATIENCE)[1]
+
+
+def test_a_host_that_connects_first_is_served_if_it_fits(place):
+    with started(place) as starter:
+        assert host(place) == ""  # the one that started the agent may be slow, or gone
+        assert tell(starter) == "served\n"
+
+
+def connections(place):
+    """The sockets at that place: the agent's, and one of each process that is connected."""
+    lines = Path("/proc/net/unix").read_text().splitlines()
+    return [line for line in lines if line.endswith(f" {place.socket}")]
 
 
 def test_an_agent_that_was_not_started_by_a_host_serves_hosts_in_containers(place):
