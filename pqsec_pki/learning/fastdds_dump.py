@@ -15,7 +15,7 @@ stack. What it calls metatraffic is needed too: with it are the services of ever
 import json
 import re
 from collections.abc import Iterator, Mapping
-from typing import Any, TypeAlias
+from typing import Any, TypeAlias, TypeGuard
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError, shown
@@ -78,7 +78,7 @@ class _Dump:
         names = (entity.get("name"), process.get("name"))
         return DiscoveredParticipant(
             enclave=_enclave(entity),
-            label=next((str(each) for each in names if each and each not in _NAMELESS), ""),
+            label=next((each for each in names if _is_name(each)), ""),
         )
 
     def endpoints(self) -> Iterator[tuple[str, Endpoint]]:
@@ -112,6 +112,10 @@ class _Dump:
     def _domain(self, participant: _Entity) -> int:
         name = self._known(participant, "domain")["name"]
         return domain_in(name) if name.isdecimal() else self.domain
+
+
+def _is_name(found: object) -> TypeGuard[str]:
+    return isinstance(found, str) and found not in _NAMELESS
 
 
 def _partitions(entity: _Entity) -> list[str]:

@@ -153,17 +153,17 @@ class Connections:
 
     def idle(self, link: Any) -> None:
         """Its client has to send something."""
-        if address := self._addresses.get(link):
+        if (address := self._addresses.get(link)) is not None:  # of a Unix socket it is empty
             self._idle.add(address, link)
 
     def busy(self, link: Any) -> None:
         """Its client waits for an answer."""
-        if address := self._addresses.get(link):
+        if (address := self._addresses.get(link)) is not None:
             self._idle.remove(address, link)
 
     def closed(self, link: Any) -> None:
         """It was closed; this may be called twice."""
-        if address := self._addresses.pop(link, ""):
+        if (address := self._addresses.pop(link, None)) is not None:
             self._idle.remove(address, link)
             self._open[address] -= 1
             if not self._open[address]:

@@ -250,5 +250,5 @@ def notify(state: str, environment: Mapping[str, str]) -> None:
     path = environment.get("NOTIFY_SOCKET", "")
     if path.startswith(("/", "@")):
         with suppress(OSError), socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
-            link.connect(path.replace("@", "\0", 1))
+            link.connect(f"\0{path[1:]}" if path.startswith("@") else path)
             link.sendall(state.encode())

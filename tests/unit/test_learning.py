@@ -187,6 +187,21 @@ def test_a_dump_whose_ids_are_not_texts_is_read_or_refused(tmp_path, number):
     assert changed(tmp_path, change).participants
 
 
+@pytest.mark.parametrize("kind", ["participants", "processes"])
+@pytest.mark.parametrize("name", [["x"], {"a": 1}, 7])
+def test_names_in_a_dump_that_are_not_texts_are_none(tmp_path, kind, name):
+    """They ended it with a traceback."""
+
+    def change(dump):
+        with_("participants", name="Unknown", qos={})(dump)
+        with_(kind, name=name)(dump)
+        dump["datawriters"].clear()
+        dump["datareaders"].clear()
+
+    [shown] = {each.what for each in changed(tmp_path, change).left_out}
+    assert shown == "a participant"
+
+
 def test_a_label_is_no_part_of_a_command_that_people_paste(tmp_path):
     def change(dump):
         with_("participants", name="x'; touch own; '", qos={})(dump)

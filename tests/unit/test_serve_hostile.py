@@ -24,7 +24,7 @@ from pqsec_pki.est import TlsIdentity
 from pqsec_pki.server import read_settings
 from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Connections
-from pqsec_pki.server.running import make_state
+from pqsec_pki.server.running import make_state, notify
 from pqsec_pki.server.signer import listening
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.tls_sides import certificate
@@ -221,6 +221,21 @@ def test_who_connects_too_often_is_not_heard_any_more():
     assert connections.admits(HOST)
 
 
+def test_connections_of_a_unix_socket_have_their_number_back_when_they_are_closed():
+    """Such a socket has no address: after 50 connections nobody was served."""
+    connections = Connections(ServerLimits(connections_of_address=1, connections=1))
+    for _ in range(3):
+        assert connections.admits("")
+        connections.opened("one", "")
+        connections.idle("one")
+        assert not connections.admits("")
+        connections.busy("one")
+        assert connections.to_close() is None
+        connections.idle("one")
+        assert connections.to_close() == "one"
+    assert connections.total == 0
+
+
 def test_a_stolen_token_gives_nothing_after_the_robot(server, tmp_path):
     robot, token = Robot(server, tmp_path / "a", "/fleet/r2"), server.token("/fleet/r2")
     assert server.ask(robot.request, token=token).status == 200
@@ -338,6 +353,18 @@ def test_after_a_kill_the_same_request_has_one_answer(tmp_path, moment):
         assert replies[0].headers["etag"] == replies[1].headers["etag"]
     lines = [each for each in made.keystore.ledger() if each.name == "/fleet/r1"]
     assert [each.kind for each in lines] == ["participant", "permissions"]
+
+
+@pytest.mark.parametrize("name", ["notify", "pqsec@site", "@pqsec@{}"])
+def test_readiness_is_told_at_the_socket_that_is_named(tmp_path, name):
+    """With an `@` in its path the front was taken for one that does not listen."""
+    name = name.format(os.getpid())
+    path = name if name.startswith("@") else str(tmp_path / name)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notices:
+        notices.bind(f"\0{path[1:]}" if path.startswith("@") else path)
+        notices.setblocking(False)
+        notify("READY=1", {"NOTIFY_SOCKET": path})
+        assert notices.recv(100) == b"READY=1"
 
 
 def test_two_services_share_a_socket_that_systemd_made(tmp_path):
