@@ -122,6 +122,11 @@ class TrustAnchors:
             PERMISSIONS_ALT_CA: (self.countersigner,) if self.countersigner else (),
         }
 
+    @property
+    def not_after(self) -> datetime:
+        """When the first of the CAs ends, and with it what they alone decide."""
+        return min(each.not_after for found in self.roles.values() for each in found)
+
     def problems(self, now: datetime) -> tuple[Problem, ...]:
         """Problems of the CAs themselves, and of a CA that has two roles."""
         found = self._problems_at.get(now)

@@ -110,7 +110,7 @@ def fleet_in(
                 subject=subject,
                 governance=governance,
                 permissions=own,
-                not_after=certificate.not_after,
+                not_after=min(certificate.not_after, anchors.not_after),
             )
     return Fleet(governance.value, members, refused, inputs=inputs, keystore=keystore)
 

@@ -38,12 +38,12 @@ class PolicyInput:
     governance: Loaded[Governance]
     permissions: Loaded[Permissions]
     not_after: datetime | None = None
-    """The end of its certificate; None if the documents are files without one."""
+    """The end of its certificate, or of a CA; None if the documents are files without one."""
     keys: str = ""
     """The algorithms of its certificate's keys, such as `ml-dsa-65`."""
 
     def until(self, question: Question, interpretation: Interpretation = SPEC) -> datetime | None:
-        """When its rights end: with its grant or its certificate. None if nothing ends them."""
+        """When its rights end: with its grant, its certificate or a CA. None if nothing ends them."""
         return end_of_rights(self.permissions.value, question, interpretation, self.not_after)
 
     def place(self, decision: Decision) -> tuple[Path, int] | None:
@@ -118,7 +118,7 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
     policy_input = PolicyInput(
         who=regular_name(name),
         subject=certificate.subject_name,
-        not_after=certificate.not_after,
+        not_after=min(certificate.not_after, anchors.not_after),
         keys=" and ".join(each.algorithm.name for each in certificate.own_keys),
         governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
         permissions=own_permissions(keystore, name, now, check),

@@ -40,7 +40,7 @@ class WhoMay:
     ungoverned: list[DomainRange]
     """Those of `domains` that the governance does not name."""
     until: dict[str, datetime]
-    """When the rights of each participant end: with its grant, or before with its certificate."""
+    """When the rights of each participant end: with its grant, its certificate or a CA."""
 
     @property
     def too_long(self) -> list[str]:

@@ -65,6 +65,16 @@ def test_a_right_ends_with_its_grant_or_before_with_the_certificate(pqsec, keyst
     assert (no["allowed"], no["until"]) == (False, None)
 
 
+def test_a_right_ends_before_with_a_ca(pqsec, keystore, tmp_path):
+    """After its end nobody accepts what the permissions CA signed; a later end was told."""
+    keystore()
+    pqsec("-k k ca rotate --only permissions --validity 20d --apply --yes --no-passphrase").done()
+    ca = load_certificate(tmp_path / "k/public/permissions_ca.cert.pem")
+    ends = f"{ca.not_after:%Y-%m-%dT%H:%M:%SZ}"
+    assert pqsec("-k k explain /talker --publish rt/chatter --json").json["until"] == ends
+    assert pqsec("-k k who-may --json").json["until"] == {"/listener": ends, "/talker": ends}
+
+
 def grant(*rules, subject="CN=/robot", days=300):
     return Grant(
         name="g",
