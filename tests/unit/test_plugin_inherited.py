@@ -64,6 +64,12 @@ _STARTER = (
 # What they do before they begin.
 OTHER_MOUNTS = "assert not ctypes.CDLL(None).unshare(0x20000)"
 OTHER_ROOT = "os.chroot(place.folder); place = AgentFolder(Path('/agent.sock'))"
+NO_PROC = f"""
+{OTHER_MOUNTS}
+mount = ctypes.CDLL(None).mount
+assert mount(None, b"/", None, 0x44000, None) == 0  # private
+assert mount(b"none", b"/proc", b"tmpfs", 0, None) == 0
+"""
 # Its filter allows all calls.
 FILTER = """
 import struct
@@ -166,9 +172,11 @@ def test_a_hosts_nice_value_is_not_the_agents(place, nice):
         assert os.getpriority(os.PRIO_PROCESS, process.pid) == 0
 
 
-def test_a_hosts_capabilities_are_not_the_agents(place):
+@pytest.mark.parametrize("before", ["", NO_PROC])
+def test_a_hosts_capabilities_are_not_the_agents(place, before):
     """Files that only such a host may read were read for all of the user's hosts."""
-    with running(place, as_nobody("ctypes.CDLL(None).prctl(8, 1)")) as process:  # it keeps them
+    keeps = f"{before}\nctypes.CDLL(None).prctl(8, 1)"
+    with running(place, as_nobody(keeps)) as process:
         status = Path(f"/proc/{process.pid}/status").read_text()
     assert "CapPrm:\t0000000000000000" in status
 
