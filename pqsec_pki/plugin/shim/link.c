@@ -18,7 +18,7 @@
 #include "frames.h"
 
 enum { VERSION = 4, RETRY_MS = 1, OTHERS_RETRY_MS = 10, CHALLENGE = 32 };
-enum { DONE = 0 };
+enum { DONE = 0, MOST_TRIES = 10 };
 
 void refuse(struct exception *ex, const char *format, ...)
 {
@@ -247,7 +247,9 @@ bool link_open(struct link *link, struct exception *ex)
   if (has_hung_up(link))
     drop(link);
   bool open = link->socket >= 0 || open_once(link, ex);
-  if (!open && link->lost) { /* that agent was stopping; the next try starts another */
+  /* That agent was stopping, or cannot serve this host; the next try starts another. Hosts of other
+   * kinds that start now may be faster, and then theirs is the next. */
+  for (int tries = 1; !open && link->lost && tries < MOST_TRIES; tries++) {
     forgive(ex);
     open = open_once(link, ex);
   }

@@ -98,8 +98,10 @@ def test_an_agent_that_is_busy_and_then_ends_is_gone(said):
 COUNTING = '#!/bin/sh\necho >> "${{5%/*}}/starts"\nexec {python} "$@"\n'
 
 
-def test_hosts_that_start_together_start_one_agent(requires, tmp_path):
-    """Each of 100 hosts started a Python of its own, which kept two cores busy for seconds."""
+@pytest.fixture
+def together(requires, tmp_path):
+    """together(variables) is what hosts with each of these say that start at once, and how many
+    agents they start."""
     requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
     python = tmp_path / "python"
     python.write_text(COUNTING.format(python=sys.executable))
@@ -107,22 +109,32 @@ def test_hosts_that_start_together_start_one_agent(requires, tmp_path):
     words = [f'-DPQSEC_PYTHON="{python}"', "-I", SOURCES]
     program = compiled(tmp_path / "host", *words, HERE / "patience.c", *SOURCES.glob("*.c"))
     runtime = Path(tempfile.mkdtemp(prefix="pqsec-"))  # a socket's path must be short
-    place = AgentFolder.of({"XDG_RUNTIME_DIR": str(runtime)})
-    try:
+    given = {"XDG_RUNTIME_DIR": str(runtime), "PQSEC_AGENT_TIMEOUT": "60000"}
+    place = AgentFolder.of(given)
+
+    def start(variables):
         hosts = [
-            subprocess.Popen(
-                [program],
-                env={"XDG_RUNTIME_DIR": str(runtime), "PQSEC_AGENT_TIMEOUT": "60000"},
-                stdout=subprocess.PIPE,
-                text=True,
-            )
-            for _ in range(8)
+            subprocess.Popen([program], env=given | each, stdout=subprocess.PIPE, text=True)
+            for each in variables
         ]
-        assert [each.communicate()[0] for each in hosts] == ["0\n"] * 8
-        assert (place.folder / "starts").read_text() == "\n"
-    finally:
-        stop_agent(place)
-        shutil.rmtree(runtime)
+        said = [each.communicate()[0] for each in hosts]
+        return said, len((place.folder / "starts").read_text())
+
+    yield start
+    stop_agent(place)
+    shutil.rmtree(runtime)
+
+
+def test_hosts_that_start_together_start_one_agent(together):
+    """Each of 100 hosts started a Python of its own, which kept two cores busy for seconds."""
+    assert together([{}] * 8) == (["0\n"] * 8, 1)
+
+
+def test_hosts_that_one_agent_cannot_serve_are_served_when_they_start_together(together):
+    """Each second one failed: an agent of another host took the place of its own."""
+    hosts = [{"PQSEC_PIN_FILE": f"/{number}"} for number in range(4)]
+    said, starts = together(hosts)
+    assert (said, starts >= 4) == (["0\n"] * 4, True)
 
 
 def test_a_peer_that_no_agent_can_validate_leaves_a_token_that_the_stack_can_read(
