@@ -103,18 +103,26 @@ def stay() -> None:
 def make_state(settings: ServerSettings) -> None:
     """Make the state folder: for its owner, or also for the group of `front_user`.
 
-    FileError for one where others could put a socket of theirs: the front would send it tokens.
+    FileError for one where others could put a socket of theirs: the front would send it tokens;
+    and for a folder of requests where others could put a request, or a pipe that never ends.
     """
-    with disk_errors(settings.state):
-        settings.state.mkdir(mode=0o700, exist_ok=True)
-        found = settings.state.stat()
-    if why := outsider(found, roots=True):
-        hint = way_out(found, str(settings.state))
-        raise FileError(f"{settings.state}: the signer cannot listen there: {why}", hint=hint)
+    found = _own_folder(settings.state, "the signer cannot listen there")
+    if settings.requests:
+        _own_folder(settings.requests, "requests cannot wait there")
     if settings.front_user and found.st_uid == os.geteuid():
         with disk_errors(settings.state):
             settings.state.chmod(0o750)  # whatever the umask is
             give_to(settings.state, settings.front_user)
+
+
+def _own_folder(path: Path, what: str) -> os.stat_result:
+    """Make the folder, unless it is there; FileError, with `what`, if others may write there."""
+    with disk_errors(path):
+        path.mkdir(mode=0o700, exist_ok=True)
+        found = path.stat()
+    if why := outsider(found, roots=True):
+        raise FileError(f"{path}: {what}: {why}", hint=way_out(found, str(path)))
+    return found
 
 
 def run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime]) -> None:

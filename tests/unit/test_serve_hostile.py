@@ -20,6 +20,7 @@ from OpenSSL import SSL
 
 from pqsec_pki.algorithms import pem
 from pqsec_pki.certificates import Certificate
+from pqsec_pki.errors import FileError
 from pqsec_pki.est import TlsIdentity
 from pqsec_pki.server import read_settings
 from pqsec_pki.server.configuration import ServerLimits
@@ -308,6 +309,15 @@ def test_the_front_of_another_user_may_ask_whatever_the_umask_is(tmp_path):
     assert [stat.S_IMODE(each.st_mode) for each in found] == [0o750, 0o660]
     own = front.pw_gid if os.geteuid() == 0 else os.getegid()
     assert [each.st_gid for each in found] == [own, own]
+
+
+def test_requests_do_not_wait_where_others_may_write(tmp_path):
+    """A pipe there, named as a request, stopped the signer for ever."""
+    made = Server(tmp_path, datetime.now(UTC), "classical", requests="shared")
+    (tmp_path / "shared").mkdir()
+    (tmp_path / "shared").chmod(0o777)
+    with pytest.raises(FileError, match="requests cannot wait there: anybody may write there"):
+        make_state(read_settings(made.config))
 
 
 def test_rights_that_the_domain_file_takes_do_not_come_back_with_a_renewal(tmp_path):
