@@ -372,7 +372,7 @@ def test_readiness_is_told_at_the_socket_that_is_named(tmp_path, name):
     path = name if name.startswith("@") else str(tmp_path / name)
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as notices:
         notices.bind(f"\0{path[1:]}" if path.startswith("@") else path)
-        notices.setblocking(False)
+        notices.settimeout(0)
         notify("READY=1", {"NOTIFY_SOCKET": path})
         assert notices.recv(100) == b"READY=1"
 
