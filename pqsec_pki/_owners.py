@@ -10,6 +10,7 @@ import os
 import pwd
 import stat
 from functools import cache
+from shlex import quote
 
 from pqsec_pki.errors import UsageError
 
@@ -38,7 +39,7 @@ def outsider(found: os.stat_result, *, roots: bool = False, sticky: bool = False
 def way_out(found: os.stat_result, path: str) -> str:
     """How to fix what `outsider` reports, for a hint."""
     if found.st_uid == os.geteuid():
-        return f"chmod go-w {path}"
+        return f"chmod go-w {quote(path)}"
     owner = user(found.st_uid)
     if os.geteuid() == 0:
         return f"run the command as its owner, `sudo -u {owner} pqsec ...`; or chown it"

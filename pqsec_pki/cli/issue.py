@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -277,7 +278,8 @@ def note_unsigned_governance(keystore: Keystore) -> None:
         _printing.note(
             f"{path}: not signed by the permissions CA ({error}), and no participant starts with"
             " it: restore the signed file, or review governance.xml and"
-            f" `pqsec -k {keystore.root} sign-governance {path.with_suffix('.xml')} --force`"
+            f" `pqsec -k {quote(str(keystore.root))} sign-governance"
+            f" {quote(str(path.with_suffix('.xml')))} --force`"
         )
 
 

@@ -3,6 +3,7 @@
 from collections.abc import Callable, Iterable
 from datetime import timedelta
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 import click
@@ -159,7 +160,7 @@ def _in_policy(
     if not both:
         raise KeystoreError(
             f"no participant in {policy} is in the keystore",
-            hint=f"`pqsec issue --policy {policy}` issues them",
+            hint=f"`pqsec issue --policy {quote(str(policy))}` issues them",
         )
     found = admitted(keystore, names or _EVERYBODY, both)
     if lacking := [name for name in found if name not in granted]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Collection, Sequence
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -127,8 +128,8 @@ def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
     _printing.emit({"requests": values}, lines)
     if kind == APPROVAL and (words := demanded(keystore.approvals)):
         _printing.note(
-            f"{words}: now `pqsec plan {settings.domain} -o plan.json --key KEY` (--new-keys, if a"
-            " robot has a certificate for another key)"
+            f"{words}: now `pqsec plan {quote(str(settings.domain))} -o plan.json --key KEY`"
+            " (--new-keys, if a robot has a certificate for another key)"
         )
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -78,7 +79,7 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
             _printing.emit({"ok": False, "file": str(file), "problems": problems}, [])
         beside = signature_path(file)
         if is_there(beside):
-            error.hint = f"the signature is in another file: `pqsec verify {beside}`"
+            error.hint = f"the signature is in another file: `pqsec verify {quote(str(beside))}`"
         raise
     _print_signatures(report or file, verified, anchors, is_report=report is not None)
 

@@ -4,6 +4,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
@@ -152,7 +153,8 @@ def _opened(data: bytes, root: Path) -> bytes:
     if not key.exists():
         raise KeystoreError(
             "the bundle is sealed, and this robot has no key to open it",
-            hint=f"`pqsec bundle-key --dir {root}` creates one; the bundle must be sealed for it",
+            hint=f"`pqsec bundle-key --dir {quote(str(root))}` creates one; the bundle must be"
+            " sealed for it",
         )
     with located(key):
         opener = SealingPrivateKey.from_pem(read(key))

@@ -23,6 +23,7 @@ import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from pqsec_pki._files import disk_errors, sync_filesystem
@@ -121,7 +122,7 @@ def refuse_interrupted(root: Path) -> None:
             if not {folder.kind(JOURNAL), folder.kind(PREPARED)} <= {None}:
                 raise InterruptedChangeError(
                     f"{root}: a change was interrupted when it was half done",
-                    hint=f"`pqsec -k {root} ca recover` finishes it",
+                    hint=f"`pqsec -k {quote(str(root))} ca recover` finishes it",
                 )
 
 

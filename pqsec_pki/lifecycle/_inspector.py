@@ -8,6 +8,7 @@ import hashlib
 from collections.abc import Collection, Sequence
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
@@ -144,10 +145,11 @@ class Inspector:
     def _refuse_edited(self, path: Path, signed: bytes) -> None:
         """KeystoreError if permissions.xml has unsigned edits: they would be overwritten."""
         if path.exists() and read(path) not in (signed, signed.replace(b"\r\n", b"\n")):
+            root, file = quote(str(self.keystore.root)), quote(str(path))
             raise KeystoreError(
                 f"{path} is not what permissions.p7s says",
-                hint=f"`pqsec -k {self.keystore.root} sign-permissions {path} --force` signs what"
-                f" it says now; or remove {path}: it is written again from the signed document",
+                hint=f"`pqsec -k {root} sign-permissions {file} --force` signs what it says now; or"
+                f" remove {path}: it is written again from the signed document",
             )
 
 

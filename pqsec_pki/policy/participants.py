@@ -43,7 +43,7 @@ class PolicyInput:
     """The algorithms of its certificate's keys, such as `ml-dsa-65`."""
 
     def until(self, question: Question, interpretation: Interpretation = SPEC) -> datetime | None:
-        """When its rights end: with its grant, its certificate or a CA. None if nothing ends them."""
+        """When its rights end: with its grant, its certificate or a CA. None if they do not end."""
         return end_of_rights(self.permissions.value, question, interpretation, self.not_after)
 
     def place(self, decision: Decision) -> tuple[Path, int] | None:

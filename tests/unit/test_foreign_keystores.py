@@ -2,6 +2,7 @@
 
 import json
 import os
+import shlex
 import shutil
 from contextlib import suppress
 from pathlib import Path
@@ -215,6 +216,20 @@ def test_who_reads_is_told_that_a_change_was_interrupted_and_what_finishes_it(ro
     assert Keystore.recover(root)
     assert not Keystore.recover(root)
     assert Keystore.open(root).ledger()[-1].name == "x.p7s"
+
+
+def test_the_name_of_a_keystore_is_no_part_of_a_command_that_people_paste(root):
+    """Whoever made the folder chose what root's shell runs."""
+    interrupted(root)
+    hostile = root.rename(root.with_name("k;touch own"))
+    with pytest.raises(InterruptedChangeError) as refused:
+        Keystore.open(hostile)
+    command = refused.value.hint.split("`")[1]
+    assert shlex.split(command) == ["pqsec", "-k", str(hostile), "ca", "recover"]
+    hostile.chmod(0o777)
+    with pytest.raises(KeystoreError) as refused:
+        Keystore.recover(hostile)
+    assert shlex.split(refused.value.hint)[:3] == ["chmod", "go-w", str(hostile)]
 
 
 @pytest.mark.parametrize("target", ["../../../../outside", "/outside", "a/../../../../../x"])

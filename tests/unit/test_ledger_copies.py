@@ -105,6 +105,37 @@ def test_a_file_that_is_written_again_within_a_step_of_the_clock_is_read_again(
         assert names(keystore) == [digit * 64]
 
 
+@pytest.fixture
+def later(monkeypatch):
+    """A clock by which all files were changed long ago, so that their times show each change."""
+    now = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: now() + 10_000_000_000)
+
+
+@pytest.mark.usefixtures("later")
+def test_a_copy_is_for_no_other_keystore(keystore, tmp_path):
+    """Or the revocations and tokens of one would be those of the other."""
+    other = made(tmp_path / "other", "classical", names=())
+    for number, each in enumerate((keystore, other)):
+        enter(each, number)
+    for number, each in enumerate((keystore, other)):
+        assert names(each) == [entry(number).sha256]
+
+
+@pytest.mark.usefixtures("later")
+def test_a_copy_is_for_no_other_process(keystore, reads):
+    """SQLite's connections are not for a fork."""
+    names(keystore), names(keystore)
+    before = len(reads)
+    names(keystore)
+    assert len(reads) == before
+    if child := os.fork():
+        assert os.waitpid(child, 0)[1] == 0
+    else:
+        names(keystore)
+        os._exit(len(reads) == before)
+
+
 @pytest.mark.parametrize(
     ("changed", "moment", "shows"),
     [
