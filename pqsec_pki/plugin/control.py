@@ -144,11 +144,17 @@ def retired_agents(place: AgentFolder) -> list[AgentStatus]:
 def stop_agent(place: AgentFolder) -> bool:
     """Stop the agent, and those that have retired, and wait until their sockets are removed.
 
-    Whether there was an agent.
+    Whether there was an agent. FileError as agent_status, when all others have stopped.
     """
-    retired = place.retired if place.is_there() else []
-    stopped = [_stop(each) for each in (place, *retired)]  # all of them
-    return any(stopped)
+    stopped, failed = False, None
+    for each in (place, *(place.retired if place.is_there() else ())):
+        try:
+            stopped |= _stop(each)
+        except PqsecError as error:
+            failed = failed or error
+    if failed:
+        raise failed
+    return stopped
 
 
 def _stop(place: AgentFolder) -> bool:

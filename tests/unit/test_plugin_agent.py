@@ -20,7 +20,14 @@ import pytest
 import pqsec_pki
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.errors import FileError, MalformedError
-from pqsec_pki.plugin import AgentFolder, agent_status, listening, retired_agents, stop_agent
+from pqsec_pki.plugin import (
+    AgentFolder,
+    agent_status,
+    control,
+    listening,
+    retired_agents,
+    stop_agent,
+)
 from pqsec_pki.plugin import agent_folder as place_module
 from pqsec_pki.plugin import staying as staying_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
@@ -310,6 +317,16 @@ def test_an_agent_that_serves_no_new_hosts_is_shown_with_its_hosts_and_stopped(p
         assert retired_agents(place) == []
         assert list(place.folder.glob("*.sock")) == []
         host.close()
+
+
+def test_an_agent_that_hangs_keeps_no_other_from_being_stopped(place, monkeypatch):
+    """Those after it went on, with their keys."""
+    monkeypatch.setattr(control, "_SECONDS", 0.5)
+    last = AgentFolder(place.folder / "retired-2.sock")
+    with running(last) as process, listening.bound(place.folder / "retired-1.sock"):
+        with pytest.raises(FileError, match="the agent does not answer"):
+            stop_agent(place)
+        assert process.wait(PATIENCE) == 0
 
 
 def test_an_agent_that_has_retired_leaves_no_socket_when_its_hosts_have_gone(place, tmp_path):
