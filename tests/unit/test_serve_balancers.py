@@ -2,6 +2,7 @@
 
 import json
 import socket
+import time
 from contextlib import ExitStack
 from datetime import UTC, datetime
 from ipaddress import ip_address
@@ -237,6 +238,14 @@ def test_a_header_that_does_not_end_in_time_is_cut_off(server, before):
     late = counted(server, "late")
     assert refused(server, before)
     assert counted(server, "late") > late
+
+
+def test_the_time_of_a_header_ends_with_it(server):
+    """Else it would cut the robot off in the middle of a later request."""
+    late = counted(server, "late")
+    assert head(server, text("192.0.2.10")) == 200
+    time.sleep(LIMITS["seconds"] + 0.5)
+    assert counted(server, "late") == late
 
 
 def test_a_header_that_comes_octet_by_octet_has_one_time(server):
