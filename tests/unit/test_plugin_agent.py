@@ -33,6 +33,7 @@ from pqsec_pki.plugin import staying as staying_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.plugin.control import Client
+from pqsec_pki.plugin.guest import MAX_GREETING
 from pqsec_pki.plugin.listening import peer
 from pqsec_pki.plugin.server import MAX_CONNECTIONS
 from tests.unit.plugin_wire import framed, greeting, with_room_for
@@ -524,6 +525,16 @@ def test_who_sends_what_is_not_the_protocol_is_told_in_the_log_and_who_hangs_up_
         said = process.stderr.read().splitlines()
     [line] = [each for each in said if f"[{os.getpid()}]" in each]
     assert line.partition("]: ")[2]
+
+
+@pytest.mark.parametrize("plugin", ["control", "authentication"])
+def test_a_greeting_has_an_end(place, plugin):
+    """What is more is no greeting, and is not kept in memory until it is complete."""
+    body = greeting(plugin)[4:]
+    with running(place):
+        for octets in (framed(body + b"x"), (MAX_GREETING + 1).to_bytes(4, "little")):
+            with connected(place, octets) as link:
+                assert link.recv(1) == b""
 
 
 def test_a_guest_that_does_not_read_its_answers_is_waited_for_by_nobody(place):

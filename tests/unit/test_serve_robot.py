@@ -83,6 +83,21 @@ def test_a_robot_lives_with_its_server(server, place):
     audit(server.keystore)
 
 
+def test_a_refusal_that_may_end_costs_no_request(server, place):
+    """Only one that is never answered is made anew: else keys that wait would be lost."""
+    robot = place / "robot"
+    enrolled(server, server.token(ROBOT), robot)
+    keystore = Keystore.open(server.root, to_change=True)
+    revoke(keystore, keystore.unlock(None), [ROBOT], now=clock())
+    sent = []
+    for _ in range(2):
+        with pytest.raises(VerificationError, match="revoked"):
+            renewed(robot, rekey=True)
+        [request] = robot.rglob("request.csr")
+        sent.append(request.read_bytes())
+    assert sent[0] == sent[1]
+
+
 def test_a_robot_sends_its_receipt_as_a_participant_that_is_not_revoked(server, place):
     robot = place / "robot"
     for name in (ROBOT, OTHER):
