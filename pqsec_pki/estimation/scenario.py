@@ -1,7 +1,7 @@
 """What is asked: a fleet, its machines and its network; and the timers of Cyclone DDS.
 
-The timers are read in Cyclone DDS's source, in its handshake and discovery, of one version each;
-bench/README.md has an observation of 0.10.2 that announcements were repeated after 30 s only.
+The timers are from Cyclone DDS's source, of its handshake and its discovery in one version each. In
+0.10.2, announcements were once seen repeated after 30 s only.
 SETTLE and LATE are fitted to bench/calibration.csv.
 """
 
