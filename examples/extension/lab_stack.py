@@ -17,7 +17,7 @@ def write(enclave: StackEnclave, options: Options) -> Export:
     properties = standard_properties(enclave)
     if enclave.key_is_encrypted:
         if options.password is None:
-            raise UsageError("Lab DDS asks nobody for a passphrase", hint="give --password-file")
+            raise UsageError("Lab DDS does not ask for a passphrase", hint="give --password-file")
         properties["dds.sec.auth.password"] = options.password
     text = "".join(f"{name}={value}\n" for name, value in properties.items())
     return Export(

@@ -1,4 +1,4 @@
-"""A process that holds a private key and signs with it: python signing_process.py KEY SOCKET.
+"""A process that has a private key and signs with it: python signing_process.py KEY SOCKET.
 
 Run it as a user of its own, and let only the group of pqsec's operators open the socket.
 """

@@ -1,4 +1,4 @@
-"""A signer for pqsec: asks a process behind a Unix socket, which holds the key.
+"""A signer for pqsec: asks a process behind a Unix socket, which has the key.
 
 One line of JSON each way: {"sign": null} gives the public key, {"sign": DATA} a signature; all
 bytes are in base64. A key management service is asked in the same place, in its own way.
