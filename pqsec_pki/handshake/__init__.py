@@ -20,7 +20,7 @@ if TYPE_CHECKING:
         expanded,
     )
     from pqsec_pki.handshake.confirming import confirmation, confirmed, token_message
-    from pqsec_pki.handshake.dialect import Dialect
+    from pqsec_pki.handshake.conventions import MessageConventions
     from pqsec_pki.handshake.guid import (
         adjusted_guid,
         belongs_to,
@@ -81,7 +81,6 @@ __all__ = [
     "AuthRequest",
     "ByteOrder",
     "DataHolder",
-    "Dialect",
     "Discovered",
     "Done",
     "Final",
@@ -91,6 +90,7 @@ __all__ = [
     "Introduction",
     "KeyMaterial",
     "MessageClass",
+    "MessageConventions",
     "MessageSizes",
     "PeerRequirements",
     "PermissionsToken",

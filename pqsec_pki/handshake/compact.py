@@ -1,8 +1,8 @@
 """The second version of the messages: the same values in fewer octets (wire.md, 5.1).
 
-A message is converted when it is written and when it is read, so states, hashes and signatures
-know only the values of the first version. An introduction has the version in its digest, so that
-nobody can convert a message on its way.
+A message is converted when it is written and when it is read, so states, hashes and signatures know
+only the values of the first version. The digest of an introduction covers the version, so a message
+cannot be converted on its way.
 """
 
 import zlib

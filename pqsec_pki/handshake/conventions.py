@@ -1,7 +1,7 @@
 """How an implementation writes what the specification leaves open, and what it refuses.
 
 DDS-Security 1.1 does not say whether algorithm names end in NUL, and stacks differ in which
-optional properties may be absent. A dialect is one choice for all of these.
+optional properties may be absent. `MessageConventions` has one choice for each of these.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ Message = TypeVar("Message", Request, Reply, Final)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Dialect:
+class MessageConventions:
     """One implementation's choices. The default is pqsec's, which every stack accepts."""
 
     ends_names_in_nul: bool = True
@@ -53,4 +53,4 @@ class Dialect:
                     yield f"{name} is missing"
 
 
-OURS = Dialect()
+OURS = MessageConventions()

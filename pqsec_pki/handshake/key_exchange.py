@@ -68,7 +68,7 @@ class KeyMaterial:
         due = (size, size, 0 if self.receiver_key_id == NO_KEY_ID else size)
         sizes = (len(self.salt), len(self.sender_key), len(self.receiver_key))
         if sizes != due:
-            raise MalformedError(f"key material of odd sizes: {sizes} where {due} are due")
+            raise MalformedError(f"key material of sizes {sizes}, not {due}")
 
     @classmethod
     def generate(cls, kind: TransformationKind) -> Self:

@@ -141,7 +141,7 @@ class Transcript:
         """One problem for each repeated value in `message` that differs from the original."""
         code = Code.C19 if isinstance(message, Reply) else Code.C23
         return [
-            Problem(f"{name} is not what it was", code)
+            Problem(f"{name} is not as expected", code)
             for (name, value), (_, repeated) in zip(_ALL_SIX(self), _ALL_SIX(message), strict=True)
             if repeated not in (None, value)
         ]

@@ -18,7 +18,7 @@ from pqsec_pki.certificates import (
 )
 from pqsec_pki.errors import PqsecError, VerificationError, shown
 from pqsec_pki.handshake.compact import FIRST_ONLY, WireVersion, check_carried
-from pqsec_pki.handshake.dialect import OURS, Dialect
+from pqsec_pki.handshake.conventions import OURS, MessageConventions
 from pqsec_pki.handshake.guid import belongs_to, participant_data, participant_guid
 from pqsec_pki.handshake.messages import CHALLENGE_SIZE, Introduction
 from pqsec_pki.problems import Code, Problem
@@ -161,8 +161,8 @@ class Terms:
     discovered: Discovered = NOTHING
     announced: bytes | None = None
     """The future_challenge (32 bytes) in our own AuthRequest, if we sent one."""
-    dialect: Dialect = OURS
-    """How we write and read messages. Dialects of other implementations are for tests."""
+    conventions: MessageConventions = OURS
+    """How we write and read messages. Conventions of other implementations are for tests."""
 
     def __post_init__(self) -> None:
         if WireVersion.SECOND in self.policy.readable:
@@ -185,7 +185,7 @@ class Terms:
         problems = [*self._problems(peer, now), *others]
         if key is None:
             # Not in the specification: Cyclone DDS does not compare it with the certificate.
-            words = f"c.dsign_algo {name!r} is not how the certificate's key signs here"
+            words = f"c.dsign_algo {name!r} does not match the certificate's key"
             problems.append(Problem(words, Code.C16))
         if problems or key is None:
             raise VerificationError(*problems)

@@ -79,9 +79,9 @@ class Sender:
     ) -> bytes:
         """`submessage`, header and content, between SEC_PREFIX and SEC_POSTFIX (9.5.3.3.4).
 
-        `receivers` are results of `material.for_receiver()` for its receivers. UsageError if
-        the submessage or the tags are too large, if a receiver belongs to another sender, or
-        if `submessage` shall only be signed and is not exactly one submessage.
+        `receivers` are results of `material.for_receiver()` for its receivers. UsageError if the
+        submessage or the tags are too large, if a receiver belongs to another sender, or if
+        `submessage` is only to be signed and is not exactly one submessage.
         """
         self._check(submessage, receivers)
         header, content, tag = self._sealed(submessage)
@@ -97,8 +97,8 @@ class Sender:
     def protect_payload(self, payload: bytes) -> bytes:
         """`payload` between crypto header and crypto footer (9.5.3.3.4.4).
 
-        UsageError if it is over 1 GiB, or if it shall only be signed and is not padded to 4
-        bytes: then its end is not marked, and stacks differ.
+        UsageError if it is over 1 GiB, or if it is only to be signed and is not padded to 4 bytes:
+        then its end is not marked, and stacks differ.
         """
         encrypts = self._material.kind.encrypts
         if len(payload) > MAX_PAYLOAD:

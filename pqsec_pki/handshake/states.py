@@ -67,7 +67,7 @@ class RequestSent:
         with check(Code.C22):
             secret = self.key_pair.decapsulate(reply.dh2)
         signature = self.terms.own.key.sign_handshake(transcript.final_octets())
-        final = self.terms.dialect.written(_final(transcript, signature, self.request.version))
+        final = self.terms.conventions.written(_final(transcript, signature, self.request.version))
         return final, _done(peer, self.key_pair.agreement, transcript, secret, signed)
 
     def _transcript(self, reply: Reply) -> Transcript:
@@ -81,7 +81,7 @@ class RequestSent:
         )
 
     def _problems(self, reply: Reply, transcript: Transcript) -> Iterator[Problem | str]:
-        yield from self.terms.dialect.problems(reply)
+        yield from self.terms.conventions.problems(reply)
         # Not in the specification: Cyclone DDS lets the replier choose another one.
         if reply.introduction.key_agreement_name != self.key_pair.agreement.wire_name:
             yield Problem("c.kagree_algo is not what was asked for", Code.C18)
@@ -142,7 +142,7 @@ def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
     """The Request, and the state that waits for its Reply."""
     # Cyclone DDS and OpenDDS end names in NUL, and OpenDDS requires it; all accept it.
     version = terms.policy.versions_with(agreement)[0]
-    introduction = _introduced(terms, agreement, version, nul=terms.dialect.ends_names_in_nul)
+    introduction = _introduced(terms, agreement, version, nul=terms.conventions.ends_names_in_nul)
     hash_c1 = _own_digest(introduction)
     pair = agreement.generate()
     request = Request(
@@ -152,7 +152,7 @@ def begin(terms: Terms, agreement: KeyAgreement) -> tuple[Request, RequestSent]:
         challenge1=terms.challenge(),
     )
     waiting = RequestSent(terms=terms, request=request, hash_c1=hash_c1, key_pair=pair)
-    return terms.dialect.written(request), waiting
+    return terms.conventions.written(request), waiting
 
 
 def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, ReplySent]:
@@ -172,7 +172,7 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     with check(Code.C17):
         dh2, secret = agreement.encapsulate(request.dh1)
     # Fast DDS refuses names with NUL as initiator, OpenDDS refuses them without.
-    nul = terms.dialect.answers_with_nul(request)
+    nul = terms.conventions.answers_with_nul(request)
     introduction = _introduced(terms, agreement, request.version, nul=nul)
     transcript = Transcript(
         hash_c1=hash_c1,
@@ -185,7 +185,7 @@ def reply_to(terms: Terms, request: Request, *, now: datetime) -> tuple[Reply, R
     signed = transcript.reply_octets()
     signature = terms.own.key.sign_handshake(signed)
     reply = Reply(introduction=introduction, signature=signature, **transcript.values())
-    reply = terms.dialect.written(reply)
+    reply = terms.conventions.written(reply)
     outcome = _done(peer, agreement, transcript, secret, signed)
     return reply, ReplySent(
         transcript=transcript, version=request.version, peer_key=key, _outcome=outcome
@@ -207,13 +207,13 @@ def _final(transcript: Transcript, signature: bytes, version: WireVersion) -> Fi
 
 
 def _request_problems(request: Request, hash_c1: bytes, terms: Terms) -> Iterator[Problem | str]:
-    yield from terms.dialect.problems(request)
+    yield from terms.conventions.problems(request)
     # challenge1 is the announced one
     if terms.discovered.future_challenge not in (None, request.challenge1):
         yield Problem("challenge1 is not the one that the peer announced", Code.C14)
     # hash_c1, if sent; Fast DDS only warns
     if request.hash_c1 not in (None, hash_c1):
-        yield Problem("hash_c1 is not what it was", Code.C15)
+        yield Problem("hash_c1 is not as expected", Code.C15)
 
 
 def _check_signature(code: Code, key: PublicKey, signature: bytes, signed: bytes) -> None:

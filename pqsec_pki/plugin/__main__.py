@@ -45,7 +45,7 @@ def _log(line: str) -> None:
 def _halve(handle: int) -> None:
     """Remove the older half of the log, unless another process of the agent does it now.
 
-    Nobody waits for the lock: any process of the user could hold it.
+    It does not wait for the lock, since any process of the user could keep it.
     """
     with Path(f"/proc/self/fd/{handle}").open("r+b") as file, suppress(BlockingIOError):
         fcntl.lockf(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # until the file is closed
@@ -59,7 +59,7 @@ def _halve(handle: int) -> None:
 
 
 def _detach() -> None:
-    """Continue as a child. The exit of this process tells its parent that the agent listens.
+    """Continue as a child. The exit of this process shows its parent that the agent listens.
 
     The parent is a host, which may be bound to one core: the agent serves others too.
     """

@@ -26,7 +26,7 @@ _MAX_FOLDER = 85
 
 @dataclass(frozen=True, slots=True)
 class AgentFolder:
-    """A folder that nobody else can enter, with socket, lock and log."""
+    """A folder that only its user can enter, with socket, lock and log."""
 
     socket: Path
 

@@ -234,8 +234,8 @@ class Authentication:
     def find_revoked(self) -> tuple[ValidationResult, int]:
         """The handle of a revoked participant or peer; 0 if there is no other.
 
-        If a revocation list is refused, the one before it stays in force, and the error is
-        raised after all handles were reported.
+        If a revocation list is refused, the previous list stays in force, and the error is raised
+        after all handles were reported.
         """
         return ValidationResult.OK, self._revocation_watch.next()
 

@@ -133,7 +133,7 @@ class Connection:
             name = reader.text()
             return self._result(name, reader)
         except LateError as error:
-            self._notes.add(f"{shown(name)}: passed over: {error}")
+            self._notes.add(f"{shown(name)}: ignored: {error}")
             return refusal(str(error))
         except PqsecError as error:
             words = str(error) + (f" ({error.hint})" if error.hint else "")
@@ -162,9 +162,9 @@ def framed(body: bytes) -> bytes:
 
 
 def missing(inbox: bytes | bytearray, limit: int) -> int:
-    """How many octets the first frame in `inbox` still needs, as far as can be told.
+    """How many octets the first frame in `inbox` still needs, as far as is known.
 
-    ProtocolError if it is to have more than `limit`.
+    ProtocolError if it has more than `limit`.
     """
     if len(inbox) < _HEAD:
         return _HEAD - len(inbox)

@@ -11,7 +11,7 @@ MAX_GREETING = 16 << 10
 """Octets: two paths and more."""
 
 
-class Guest:
+class IncomingConnection:
     """A connection of which only the greeting is read."""
 
     def __init__(self, link: socket.socket, process: int) -> None:
@@ -21,7 +21,7 @@ class Guest:
     def greeting(self) -> Greeting | None:
         """Its greeting; None as long as that is not complete.
 
-        OSError if the process has gone, PqsecError if what it sent is not a greeting.
+        OSError if the process has ended, PqsecError if its octets are not a greeting.
         """
         octets = self.link.recv(missing(self._inbox, MAX_GREETING))
         if not octets:

@@ -1,7 +1,7 @@
-"""What an agent has of the host that started it, and which later hosts it therefore cannot serve.
+"""What an agent inherits from the host that started it, and which later hosts it cannot serve.
 
-It opens the files that hosts name: so it must see the same files, and have the rights of the same
-groups. And no host may fail or wait because of limits that an earlier one had set for itself.
+It opens the files that hosts name, so it must have the same mount name space and groups. Limits
+that its first host had set for itself must not make other hosts fail or wait.
 """
 
 import os
@@ -32,7 +32,7 @@ class Inherited:
         self._limits = self._usable(0)
         self._restrictions = restrictions_of("self")
 
-    def misfit(self, link: socket.socket, process: int, greeting: Greeting) -> str:
+    def mismatch(self, link: socket.socket, process: int, greeting: Greeting) -> str:
         """Why it cannot serve this host; empty if it can."""
         own = self._greeting
         if greeting.files != own.files:
@@ -46,7 +46,8 @@ class Inherited:
         return ""
 
     def _is_below(self, process: int) -> bool:
-        """Whether the host has what this process could not take for itself."""
+        """Whether the host has higher limits, a higher priority or more rights than this
+        process."""
         with suppress(OSError):  # it has gone, or has several users
             if any(
                 own < their for own, their in zip(self._limits, self._usable(process), strict=True)

@@ -52,8 +52,8 @@ class Remote:
 class Handshake:
     """The state of a handshake. A refused message does not change it.
 
-    A new Request, ours or the peer's, starts it again. The finished handshake stays valid until
-    the new one is finished too, because anybody can send a Request.
+    A new Request, ours or the peer's, starts it again. The finished handshake stays valid until the
+    new one is finished too, because any process on the network can send a Request.
     """
 
     local: Local
@@ -104,8 +104,9 @@ class PeerTable:
     def challenge(self, identity: int, guid: bytes) -> bytes:
         """Our challenge for an AuthRequest: 32 bytes, the same until a handshake is finished.
 
-        A stack that loses a peer and discovers it again begins anew, but the peer may not, and
-        refuses another challenge than the one that it got first until its handshake times out.
+        A stack that loses a peer and discovers it again starts a new handshake, but the peer may
+        not, and refuses another challenge than the one that it got first until its handshake times
+        out.
         """
         found = self._challenges.pop((identity, guid), None) or os.urandom(CHALLENGE_SIZE)
         self._challenges[identity, guid] = found

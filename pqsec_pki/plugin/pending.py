@@ -1,12 +1,12 @@
 """Handshakes that wait for a Final, and what they may cost an agent.
 
-A Request proves nothing: anybody who has recorded a certificate can send any number of Requests in
-its holder's name, each with a document of 256 kB that must be kept until the Final. So all waiting
-handshakes of a worker together hold at most MAX_HELD octets. If they need more, one is dropped: of
-the certificate that holds most, the largest, and of equals the oldest. An attacker who replays one
-certificate thus displaces only handshakes with that certificate, the larger ones first. A real
-participant's (28 kB) can be displaced after some 300 forged Requests of its size. A worker needs
-more than a second to answer these, and the real Final comes within a round trip.
+A Request proves nothing: an attacker who has recorded a certificate can send any number of Requests
+in its holder's name, each with a document of 256 kB that must be kept until the Final. So all
+waiting handshakes of a worker together take at most MAX_HELD octets. Beyond that, the worker drops
+the largest handshake of the certificate that uses most; of equal ones the oldest. An attacker who
+replays one certificate thus displaces only handshakes with that certificate, the larger ones first.
+A real participant's (28 kB) can be displaced after some 300 forged Requests of its size. A worker
+needs more than a second to answer these, and the real Final comes within a round trip.
 
 Equal documents of one certificate are kept once: a hundred processes with one identity, as nodes of
 ROS 2 have, are not a flood. A lower limit for the size of a document is not possible: a participant

@@ -21,7 +21,7 @@ from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CONTROL
 from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection
 from pqsec_pki.plugin.greeting import Greeting, VersionError
-from pqsec_pki.plugin.guest import Guest, refuse
+from pqsec_pki.plugin.incoming import IncomingConnection, refuse
 from pqsec_pki.plugin.inherited import Inherited
 from pqsec_pki.plugin.lists import MAX_CAS
 from pqsec_pki.plugin.notes import Clock, Log, Notes
@@ -35,8 +35,8 @@ MAX_CONNECTIONS = 512
 _GRACE_SECONDS = 20.0
 """Seconds that the process that started the agent may take to connect."""
 _STARTER_SECONDS = 2.0
-"""Seconds in which that process is heard first. Another one that were served before could use the
-rights of its groups, or, if it cannot be served, end the agent that the first one waits for."""
+"""Seconds in which the agent reads that process's greeting first. A process served before it could
+use the rights of its groups; one that the agent cannot serve could end the agent."""
 _LONGEST_WAIT = 3600.0
 _ANSWER_SECONDS = 1.0
 """Seconds that workers may take to count their objects; else their former answer is shown."""
@@ -45,8 +45,8 @@ RESERVED_FILES = 32 + MAX_CAS
 _SPARE = 8
 """Further connections for the command line: a full agent must still answer and stop."""
 _EXHAUSTED = {errno.EMFILE, errno.ENFILE, errno.ENOBUFS, errno.ENOMEM}
-_CALM = 1.0
-"""Seconds in which nobody asks, before the agent loads what its first start did not wait for."""
+_QUIET = 1.0
+"""Seconds without calls after which the agent loads modules that its first start left out."""
 _REPLACED = "another version was installed"
 _PAUSE = 0.5
 """Seconds until the next try to accept a connection, if the system had no file left."""
@@ -74,13 +74,13 @@ class Agent:
         self._is_loaded = False
         self._notes = Notes("agent", log, clock)
         self._context = AgentContext(clock, log, self._status, self._stop)
-        self._guests: set[Guest] = set()
-        self._early: list[Guest] = []
-        """Of these, the ones that are not heard before the host that started the agent."""
+        self._incoming: set[IncomingConnection] = set()
+        self._deferred: list[IncomingConnection] = []
+        """Of these, the ones that are read after the host that started the agent."""
         self._clients: dict[OpenConnection, float] = {}
         """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
-        self._deaf_until = self._early_until = 0.0
+        self._paused_until = self._starter_until = 0.0
         self._why = ""
         """Why it has retired; empty if it has not."""
         self._stopping = False
@@ -121,9 +121,9 @@ class Agent:
         self._listener = listener
         self._selector = selectors.DefaultSelector()  # which would not outlive a fork
         self._workers = Workers(self._work, self._selector, self._notes.add)
-        self._selector.register(listener, selectors.EVENT_READ, lambda _: self._welcome())
+        self._selector.register(listener, selectors.EVENT_READ, lambda _: self._accept())
         if self._inherited and self._starter is not None:
-            self._early_until = time.monotonic() + _STARTER_SECONDS
+            self._starter_until = time.monotonic() + _STARTER_SECONDS
         self._log(f"listening at {self._place.socket}")
         with listener:
             self._serve()
@@ -143,13 +143,13 @@ class Agent:
         while not self._stopping and (self._count or (time.monotonic() < end and not self._why)):
             busy = bool(self._count)
             wait = _LONGEST_WAIT if busy else min(end - time.monotonic(), _LONGEST_WAIT)
-            found = self._selector.select(min(wait, self._rest()))
+            found = self._selector.select(min(wait, self._until_next_step()))
             for key, events in found:
                 if key.fileobj.fileno() >= 0:  # type: ignore[union-attr] # may be closed since
                     key.data(events)
             self._answer()
-            if self._early_until and time.monotonic() >= self._early_until:
-                self._hear_all()
+            if self._starter_until and time.monotonic() >= self._starter_until:
+                self._watch_deferred()
             if not (found or self._is_loaded):
                 self._is_loaded = True
                 load_the_rest(self._notes.add)
@@ -159,14 +159,14 @@ class Agent:
     @property
     def _count(self) -> int:
         """The number of connections."""
-        return len(self._guests) + len(self._clients) + len(self._workers)
+        return len(self._incoming) + len(self._clients) + len(self._workers)
 
     @property
     def _links(self) -> list[socket.socket]:
         """The sockets that the agent reads itself."""
-        return [each.link for each in self._guests] + [each.link for each in self._clients]
+        return [each.link for each in self._incoming] + [each.link for each in self._clients]
 
-    def _rest(self) -> float:
+    def _until_next_step(self) -> float:
         """Seconds until the next step that no event starts."""
         now, idle = time.monotonic(), self._workers.dismiss_idle()
         asked = [until for until in self._clients.values() if until]
@@ -174,24 +174,24 @@ class Agent:
         if idle is not None:
             waits.append(idle)
         if not self._is_loaded:
-            waits.append(_CALM)
-        if self._early_until:
-            waits.append(self._early_until - now)
-        if self._deaf_until > now:
-            waits.append(self._deaf_until - now)
-        elif self._deaf_until:  # the pause is over
-            self._deaf_until = 0.0
-            self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._welcome())
+            waits.append(_QUIET)
+        if self._starter_until:
+            waits.append(self._starter_until - now)
+        if self._paused_until > now:
+            waits.append(self._paused_until - now)
+        elif self._paused_until:  # the pause is over
+            self._paused_until = 0.0
+            self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._accept())
         return max(0.0, min(waits, default=_LONGEST_WAIT))
 
-    def _welcome(self) -> None:
+    def _accept(self) -> None:
         try:
             link, _ = self._listener.accept()
         except OSError as error:  # it may have gone already
             if error.errno in _EXHAUSTED:
                 self._notes.add(f"no more processes can be served: {error.strerror}")
                 self._selector.unregister(self._listener)
-                self._deaf_until = time.monotonic() + _PAUSE
+                self._paused_until = time.monotonic() + _PAUSE
             return
         process, user = listening.peer(link)
         link.settimeout(0)
@@ -201,53 +201,55 @@ class Agent:
         elif self._count >= self._most + _SPARE:
             self._refuse_full(link, process)
         else:
-            guest = Guest(link, process)
-            self._guests.add(guest)
-            if self._early_until and process != self._starter:
-                self._early.append(guest)
+            incoming = IncomingConnection(link, process)
+            self._incoming.add(incoming)
+            if self._starter_until and process != self._starter:
+                self._deferred.append(incoming)
             else:
-                self._hear(guest)
+                self._watch(incoming)
 
-    def _hear(self, guest: Guest) -> None:
-        self._selector.register(guest.link, selectors.EVENT_READ, lambda _: self._greet(guest))
+    def _watch(self, incoming: IncomingConnection) -> None:
+        self._selector.register(
+            incoming.link, selectors.EVENT_READ, lambda _: self._read(incoming)
+        )
 
-    def _hear_all(self) -> None:
-        """The host that started the agent has been heard, or does not come."""
-        early, self._early, self._early_until = self._early, [], 0.0
-        for each in early:
-            self._hear(each)
+    def _watch_deferred(self) -> None:
+        """Read the others: the greeting of the host that started the agent is read, or overdue."""
+        deferred, self._deferred, self._starter_until = self._deferred, [], 0.0
+        for each in deferred:
+            self._watch(each)
 
-    def _greet(self, guest: Guest) -> None:
+    def _read(self, incoming: IncomingConnection) -> None:
         try:
-            greeting = guest.greeting()
+            greeting = incoming.greeting()
             if not greeting:
                 return
         except BlockingIOError:
             return
         except VersionError as error:
-            self._leave(guest)
-            if not self._turns_away(guest):
-                refuse(guest.link, str(error))
+            self._forget(incoming)
+            if not self._leaves_to_new_agent(incoming):
+                refuse(incoming.link, str(error))
             return
         except (OSError, PqsecError) as error:
             if not isinstance(error, ConnectionError):  # closing a connection is not an error
-                self._notes.add(f"{guest.who}: {error}")
-            self._leave(guest)
-            guest.link.close()
+                self._notes.add(f"{incoming.who}: {error}")
+            self._forget(incoming)
+            incoming.link.close()
             return
-        self._selector.unregister(guest.link)
+        self._selector.unregister(incoming.link)
         if greeting.plugin == CONTROL:
-            self._obey(guest)
+            self._serve_command_line(incoming)
         else:
-            self._hand_over(guest, greeting)
-        self._guests.discard(guest)
-        if self._early_until and guest.process == self._starter:
-            self._hear_all()
+            self._hand_over(incoming, greeting)
+        self._incoming.discard(incoming)
+        if self._starter_until and incoming.process == self._starter:
+            self._watch_deferred()
 
-    def _leave(self, guest: Guest) -> None:
+    def _forget(self, incoming: IncomingConnection) -> None:
         """Forget a connection that did not greet."""
-        self._guests.discard(guest)
-        self._selector.unregister(guest.link)
+        self._incoming.discard(incoming)
+        self._selector.unregister(incoming.link)
 
     def _refuse_full(self, link: socket.socket, process: int) -> None:
         why = (
@@ -257,69 +259,74 @@ class Agent:
         self._notes.add(f"process {process} is not served: {why}")
         refuse(link, f"the agent is full: {why}")
 
-    def _hand_over(self, guest: Guest, greeting: Greeting) -> None:
-        if self._turns_away(guest, greeting):
+    def _hand_over(self, incoming: IncomingConnection, greeting: Greeting) -> None:
+        if self._leaves_to_new_agent(incoming, greeting):
             return
         if len(self._workers) >= self._most:
-            self._refuse_full(guest.link, guest.process)
+            self._refuse_full(incoming.link, incoming.process)
             return
         try:
-            guest.link.send(GREETED)
-            self._workers.serve(guest.link, Served(guest.process, guest.who, greeting.plugin))
-            guest.link.close()
+            incoming.link.send(GREETED)
+            self._workers.serve(
+                incoming.link, Served(incoming.process, incoming.who, greeting.plugin)
+            )
+            incoming.link.close()
         except OSError as error:
-            self._notes.add(f"{guest.who} is not served: {error.strerror}")
-            refuse(guest.link, f"no worker can serve it: {error.strerror}")
+            self._notes.add(f"{incoming.who} is not served: {error.strerror}")
+            refuse(incoming.link, f"no worker can serve it: {error.strerror}")
 
-    def _turns_away(self, guest: Guest, greeting: Greeting | None = None) -> bool:
-        """Whether a new agent serves it: this one cannot, and retires.
+    def _leaves_to_new_agent(
+        self, incoming: IncomingConnection, greeting: Greeting | None = None
+    ) -> bool:
+        """Whether a new agent must serve it, because this one cannot, and retires.
 
-        Its library is told nothing, so it asks again, and starts what is installed now.
+        The connection closes without a reason, so the library connects again, and starts the agent
+        that is installed now.
         """
-        if not self._why and (why := self._misfit(guest, greeting)):
+        if not self._why and (why := self._mismatch(incoming, greeting)):
             self._retire(why)
         if self._why:
-            guest.link.close()
+            incoming.link.close()
         return bool(self._why)
 
-    def _misfit(self, guest: Guest, greeting: Greeting | None) -> str:
+    def _mismatch(self, incoming: IncomingConnection, greeting: Greeting | None) -> str:
         """Why this agent cannot serve the host; empty if it can.
 
-        It serves the one that started it: else that would start one after another.
+        It always serves the host that started it: otherwise that host would start agents for ever.
         """
         if self._is_old():
             return _REPLACED
-        if greeting is None or not self._inherited or self._is_starter(guest):
+        if greeting is None or not self._inherited or self._is_starter(incoming):
             return ""
-        return self._inherited.misfit(guest.link, guest.process, greeting)
+        return self._inherited.mismatch(incoming.link, incoming.process, greeting)
 
-    def _is_starter(self, guest: Guest) -> bool:
-        """Whether it is of that process; a later one may have its number."""
-        is_there = self._early_until or any(
+    def _is_starter(self, incoming: IncomingConnection) -> bool:
+        """Whether the host that started the agent connects; a later process may have its number."""
+        is_there = self._starter_until or any(
             each.process == self._starter for each in self._workers.served
         )
-        return bool(is_there) and guest.process == self._starter
+        return bool(is_there) and incoming.process == self._starter
 
     def _retire(self, why: str) -> None:
-        """Listen for the command line alone; hosts stay until they end.
+        """Listen only for the command line; present hosts stay until they end.
 
         The file of the socket stays, as that of an agent that was killed: the next one replaces it.
         """
         self._notes.add(f"{why}: a new agent serves the next hosts")
-        if not self._deaf_until:
+        if not self._paused_until:
             self._selector.unregister(self._listener)
-        self._why, self._deaf_until = why, 0.0
+        self._why, self._paused_until = why, 0.0
         self._listener.close()
         try:
             self._listener = listening.bound(self._place.own_retired.socket)
         except PqsecError as error:
             self._notes.add(f"it is not shown by `pqsec agent status`: {error}")
         else:
-            self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._welcome())
+            self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._accept())
 
-    def _obey(self, guest: Guest) -> None:
-        connection = Connection(self._context, guest.who, CONTROL)
-        client = OpenConnection(guest.link, connection, self._attend)
+    def _serve_command_line(self, incoming: IncomingConnection) -> None:
+        connection = Connection(self._context, incoming.who, CONTROL)
+        client = OpenConnection(incoming.link, connection, self._attend)
         client.outbox += GREETED
         self._clients[client] = 0.0
         self._attend(client, 0)
@@ -389,8 +396,8 @@ class Agent:
     def _notice(self) -> str:
         """What the user should know of it, and do."""
         if self._is_old():
-            return f"{_REPLACED}: restart these hosts, which keep the one before"
-        return f"{self._why}: it serves only the hosts that it has" if self._why else ""
+            return f"{_REPLACED}: restart these hosts, which use the previous one"
+        return f"{self._why}: it serves its present hosts only" if self._why else ""
 
     def _stop(self) -> None:
         self._stopping = True

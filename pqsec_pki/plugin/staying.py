@@ -1,8 +1,8 @@
-"""Why an agent without hosts stays: the next participant then waits for a fork, not for imports.
+"""When an agent without hosts keeps running, so that the next participant waits only for a fork.
 
-It has no workers and holds no keys. It ends when its socket is gone, as after a logout, or when
-another version of its program may be installed: it would load modules of both. Until then it would
-also serve with flaws that the other version does not have, so it takes no further hosts.
+It has no workers and no keys. It ends when its socket is removed, as after a logout, or when
+another version of its program may be installed, since it would load modules of both. It then
+accepts no further hosts: it may have flaws that the other version does not have.
 """
 
 import gc

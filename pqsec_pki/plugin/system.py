@@ -27,7 +27,7 @@ class Restrictions:
 
 
 def restrictions_of(process: str) -> Restrictions:
-    """The unknown ones if the process has gone, or there is no /proc."""
+    """Default values if the process has ended, or there is no /proc."""
     try:
         text = Path("/proc", process, "status").read_text(errors="replace")
     except OSError:
@@ -38,7 +38,7 @@ def restrictions_of(process: str) -> Restrictions:
 
 
 def undo_hosts_settings() -> None:
-    """Take back what a host may have set for itself before it started the agent.
+    """Undo what a host may have set for itself before it started the agent.
 
     Soft limits are raised, the priority is reset, and capabilities are given up unless the user is
     root: later hosts would use them through the agent.

@@ -2,7 +2,7 @@
 
 A worker has everything that its connections need, and shares only revocation lists with other
 workers (`shared_lists.py`). It serves one call at a time. Calls that create participants come
-before calls of handshakes. A process whose call waits is told so each second.
+before calls of handshakes. A process whose call waits gets an empty frame each second.
 """
 
 import selectors

@@ -120,7 +120,7 @@ def _end(process: BaseProcess) -> None:
 
 @contextmanager
 def _safe_path() -> Iterator[None]:
-    """Python processes that start within take no modules from the folder where they start."""
+    """Python processes that start in the block import no modules from their current folder."""
     before = os.environ.get(_SAFE_PATH)
     os.environ[_SAFE_PATH] = "1"
     try:

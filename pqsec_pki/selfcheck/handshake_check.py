@@ -239,7 +239,7 @@ class HandshakeCheck:
         return SessionSide(
             participant=participant,
             stack=own,
-            terms=Terms(own=identity, policy=demands, dialect=own.dialect),
+            terms=Terms(own=identity, policy=demands, conventions=own.conventions),
         )
 
 

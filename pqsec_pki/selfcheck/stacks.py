@@ -20,7 +20,7 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import UnknownAlgorithmError, VerificationError
-from pqsec_pki.handshake import Dialect, PeerRequirements
+from pqsec_pki.handshake import MessageConventions, PeerRequirements
 from pqsec_pki.stacks import FAST_DDS_LIMIT, MessageLimit, Stack
 
 
@@ -33,7 +33,7 @@ class SimulatedStack:
     title: str
     evidence: str
     """The source of the row: versions that were run, or source code."""
-    dialect: Dialect = field(default_factory=Dialect)
+    conventions: MessageConventions = field(default_factory=MessageConventions)
     agreements: tuple[KeyAgreement, ...] = ()
     """Those it supports; it asks for the first. Empty: all of pqsec's, as the profile says."""
     asks_for_any: bool = False
@@ -101,7 +101,7 @@ CYCLONE = SimulatedStack(
     name=Stack.CYCLONEDDS.value,
     title=Stack.CYCLONEDDS.product,
     evidence="0.10.2, 0.10.5 and 11.0.1 run",
-    dialect=Dialect(answers_in_kind=False, sends_optional=False),
+    conventions=MessageConventions(answers_in_kind=False, sends_optional=False),
     agreements=(_ECDH, MODP_DER),
     identity_keys=_P256_OR_RSA_2048,
     identity_ca_keys=_P256_OR_RSA_2048,
@@ -110,7 +110,7 @@ FASTDDS = SimulatedStack(
     name=Stack.FASTDDS.value,
     title=Stack.FASTDDS.product,
     evidence="2.9.1 run; for 3.2.3 and later its source",
-    dialect=Dialect(
+    conventions=MessageConventions(
         ends_names_in_nul=False,
         answers_in_kind=False,
         reads_reply_names=False,
@@ -139,7 +139,7 @@ OPENDDS = SimulatedStack(
     name=Stack.OPENDDS.value,
     title=Stack.OPENDDS.product,
     evidence="its source, not run",
-    dialect=Dialect(
+    conventions=MessageConventions(
         answers_in_kind=False,
         sends_optional=False,
         reads_request_names=True,

@@ -11,11 +11,11 @@ from functools import cache
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, pair_private
 from pqsec_pki.certificates import Authority
 from pqsec_pki.handshake import (
-    Dialect,
     Discovered,
     Done,
     Final,
     Identity,
+    MessageConventions,
     PeerRequirements,
     Reply,
     ReplySent,
@@ -113,7 +113,7 @@ def shaken(one, other, agreement, *, optional=True, version=WireVersion.FIRST):
             own=own,
             policy=replace(EVERYTHING, versions=(version,)),
             discovered=Discovered(guid=peer.guid),
-            dialect=Dialect(sends_optional=optional),
+            conventions=MessageConventions(sends_optional=optional),
         )
         for own, peer in ((one, other), (other, one))
     )

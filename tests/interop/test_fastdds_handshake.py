@@ -172,7 +172,7 @@ def test_fastdds_names_its_key_by_the_ca_and_we_refuse_that(meet_fastdds, now, k
     if kinds[1] == "ecdsa-p384":  # or it would not answer at all
         both = both.saying(signature_algorithm=ECDSA.encode())
     begins = both.fastdds_begins if we == "alice" else both.we_begin
-    with pytest.raises(VerificationError, match=f"c.dsign_algo '{name}' is not how"):
+    with pytest.raises(VerificationError, match=f"c.dsign_algo '{name}' does not match"):
         begins(now)
 
 

@@ -68,7 +68,7 @@ def test_fastdds_refuses_our_request_if_it_was_changed(meet_fastdds, now, field)
 
 @pytest.mark.parametrize("field", ["c.perm", "challenge1"])
 def test_we_see_in_fastdds_reply_that_our_request_was_changed(meet_fastdds, now, field):
-    with pytest.raises(VerificationError, match="is not what it was"):
+    with pytest.raises(VerificationError, match="is not as expected"):
         meet_fastdds(we="bob").we_begin(now, request=flipped(field))
 
 

@@ -79,7 +79,7 @@ def test_a_request_and_a_final_are_written_as_the_stack_does(stack, labs, alice,
         request = Request.from_holder(DataHolder(*sent))
         answer, _ = reply_to(terms(row, alice), request, now=now)
         final = Final.from_holder(DataHolder(*real.process(handshake, token(answer))))
-    ours, waiting = begin(terms(row, bob, dialect=row.dialect), row.agreements[0])
+    ours, waiting = begin(terms(row, bob, conventions=row.conventions), row.agreements[0])
     answer, _ = reply_to(terms(row, alice), ours, now=now)
     assert form(ours) == form(request)
     assert shares(ours) == pytest.approx(shares(request), abs=2)
@@ -90,10 +90,10 @@ def test_a_request_and_a_final_are_written_as_the_stack_does(stack, labs, alice,
 def test_a_reply_is_written_as_the_stack_does(stack, labs, alice, bob, at):
     (row, participant), now = stack, datetime.now(UTC)
     # As the stack itself asks: Fast DDS answers a NUL in c.kagree_algo with one.
-    request, _ = begin(terms(row, bob, dialect=row.dialect), row.agreements[at])
+    request, _ = begin(terms(row, bob, conventions=row.conventions), row.agreements[at])
     with participant(labs("classical").alice) as real:
         _, sent = real.reply(met(real, bob), token(request))
     reply = Reply.from_holder(DataHolder(*sent))
-    ours, _ = reply_to(terms(row, alice, dialect=row.dialect), request, now=now)
+    ours, _ = reply_to(terms(row, alice, conventions=row.conventions), request, now=now)
     assert form(ours) == form(reply)
     assert shares(ours) == pytest.approx(shares(reply), abs=2)

@@ -55,32 +55,36 @@ MISLABELLED = "(?i)(expected a 'dds.*', got a '.*'|a message for another partici
 EXPECTED = {
     # attack: (what is tried, the step that refuses it, the cause); the first that fits counts
     "change-request": [
-        ("^c.id, last", "reply", "^hash_c1 is not what it was$"),
+        ("^c.id, last", "reply", "^hash_c1 is not as expected$"),
         ("^c.id", "reply", INTRODUCED),
         ("^c.pdata, first", "reply", "no participant GUID"),
         ("^c.pdata, middle", "reply", "not the one that was discovered"),
-        ("^c.dsign_algo", "reply", "is not how the certificate's key signs here"),
+        ("^c.dsign_algo", "reply", "does not match the certificate's key"),
         ("^c.kagree_algo", "reply", "^the peer asks for"),
-        ("^c.p|^hash_c1", "reply", "^hash_c1 is not what it was$"),
+        ("^c.p|^hash_c1", "reply", "^hash_c1 is not as expected$"),
         ("^challenge1", "reply", "^challenge1 is not the one that the peer announced$"),
         ("^dh1", "reply", "^bad .* public key$"),
-        ("^dh1", "final", "^dh1 is not what it was$"),
+        ("^dh1", "final", "^dh1 is not as expected$"),
     ],
     "change-reply": [
-        ("^c.id, last", "final", "^hash_c2 is not what it was$"),
+        ("^c.id, last", "final", "^hash_c2 is not as expected$"),
         ("^c.id", "final", INTRODUCED),
         ("^c.pdata, first", "final", "no participant GUID"),
         ("^c.pdata, middle", "final", "not the one that was discovered"),
-        ("^c.dsign_algo", "final", "is not how the certificate's key signs here"),
+        ("^c.dsign_algo", "final", "does not match the certificate's key"),
         ("^c.kagree_algo", "final", "^c.kagree_algo is not what was asked for"),
-        ("^c.p|^hash_c2", "final", "^hash_c2 is not what it was$"),
+        ("^c.p|^hash_c2", "final", "^hash_c2 is not as expected$"),
         ("^challenge2", "final", "^challenge2 is not the one that the peer announced$"),
-        ("^(hash_c1|challenge1|dh1)", "final", "^(hash_c1|challenge1|dh1) is not what it was$"),
+        (
+            "^(hash_c1|challenge1|dh1)",
+            "final",
+            "^(hash_c1|challenge1|dh1) is not as expected$",
+        ),
         ("^(dh2|signature)", "final", BAD_SIGNATURE),
     ],
     "change-final": [
         ("^signature", "authenticated", BAD_SIGNATURE),
-        ("", "authenticated", "^[a-z]+(_c)?[12] is not what it was$"),
+        ("", "authenticated", "^[a-z]+(_c)?[12] is not as expected$"),
     ],
     "change-message": [
         ("^(kind|key id)", "message", "protected in another way, or with a key of another name"),
@@ -151,7 +155,11 @@ EXPECTED = {
     "swap-challenge": [
         ("^the initiator's, as announced$", "reply", "^challenge1 is not the one that the peer"),
         ("^the replier's, as announced$", "final", "^challenge2 is not the one that the peer"),
-        ("^the initiator's, announced and sent$", "final", "^challenge1 is not what it was$"),
+        (
+            "^the initiator's, announced and sent$",
+            "final",
+            "^challenge1 is not as expected$",
+        ),
         ("", "final", BAD_SIGNATURE),
     ],
     "strip-hash": [("", "final", BAD_SIGNATURE)],
@@ -161,14 +169,18 @@ EXPECTED = {
         ("reply$", "final", "^c.kagree_algo is not what was asked for$"),
     ],
     "name-other-signature": [
-        ("request$", "reply", "is not how the certificate's key signs here$"),
-        ("reply$", "final", "is not how the certificate's key signs here$"),
+        ("request$", "reply", "does not match the certificate's key$"),
+        ("reply$", "final", "does not match the certificate's key$"),
     ],
     "name-unknown-algorithm": [
         ("request: 1000 bytes", "reply", "has 1000 bytes, which names no algorithm$"),
         ("reply: 1000 bytes", "final", "has 1000 bytes, which names no algorithm$"),
-        ("dsign_algo of the request", "reply", "is not how the certificate's key signs here$"),
-        ("dsign_algo of the reply", "final", "is not how the certificate's key signs here$"),
+        (
+            "dsign_algo of the request",
+            "reply",
+            "does not match the certificate's key$",
+        ),
+        ("dsign_algo of the reply", "final", "does not match the certificate's key$"),
         ("kagree_algo of the request", "reply", "^the peer asks for"),
         ("kagree_algo of the reply", "final", "^c.kagree_algo is not what was asked for$"),
     ],
@@ -179,10 +191,14 @@ EXPECTED = {
     "reflect-message": [("", "message", "is for another participant$")],
     "replay": [
         ("^the request$", "reply", "^challenge1 is not the one that the peer announced$"),
-        ("^the reply$", "final", "^challenge1 is not what it was"),
-        ("^the final$", "authenticated", "^challenge1 is not what it was"),
-        ("initiator sent$", "authenticated", "^challenge2 is not what it was; dh2 is not"),
-        ("replier sent$", "final", "^challenge1 is not what it was; dh1 is not what it was$"),
+        ("^the reply$", "final", "^challenge1 is not as expected"),
+        ("^the final$", "authenticated", "^challenge1 is not as expected"),
+        ("initiator sent$", "authenticated", "^challenge2 is not as expected; dh2 is not"),
+        (
+            "replier sent$",
+            "final",
+            "^challenge1 is not as expected; dh1 is not as expected$",
+        ),
         ("under the earlier keys$", "message", OTHER_KEYS),
     ],
     "copied-certificate": [
@@ -212,8 +228,8 @@ EXPECTED = {
         ("as replier$", "final", "^the certificate of .* was revoked on 2026-11-21 .*keyComp"),
     ],
     "plain-signature": [
-        ("as initiator$", "reply", "^c.dsign_algo 'ECDSA-SHA256' is not how"),
-        ("as replier$", "final", "^c.dsign_algo 'ECDSA-SHA256' is not how"),
+        ("as initiator$", "reply", "^c.dsign_algo 'ECDSA-SHA256' does not match"),
+        ("as replier$", "final", "^c.dsign_algo 'ECDSA-SHA256' does not match"),
     ],
     "half-signature": [
         ("as initiator$|in the final$", "authenticated", BAD_SIGNATURE),

@@ -466,7 +466,7 @@ def test_a_request_changed_where_nothing_shows_it_yet_fails_at_its_reply(
     request, waiting = meeting.request()
     other = begin(meeting.of_alice, agreement)[0].to_holder().binary_properties
     reply, _ = meeting.reply(changed(request, name, lambda _: dict(other)[name]))
-    with pytest.raises(VerificationError, match=f"{name} is not what it was"):
+    with pytest.raises(VerificationError, match=f"{name} is not as expected"):
         waiting.receive(reply, now=now)
 
 
@@ -532,7 +532,7 @@ def test_all_that_is_wrong_with_a_reply_is_listed(meeting):
 def test_the_reply_of_another_session_is_refused(meeting):
     reply, _ = meeting.reply(meeting.request()[0])
     _, waiting = meeting.request()
-    with pytest.raises(VerificationError, match="challenge1 is not what it was"):
+    with pytest.raises(VerificationError, match="challenge1 is not as expected"):
         waiting.receive(reply, now=meeting.now)
 
 
@@ -541,7 +541,7 @@ def test_the_final_of_another_session_is_refused(meeting):
     reply, _ = meeting.reply(request)
     final, _ = waiting.receive(reply, now=meeting.now)
     _, awaiting = meeting.reply(meeting.request()[0])
-    with pytest.raises(VerificationError, match="challenge1 is not what it was"):
+    with pytest.raises(VerificationError, match="challenge1 is not as expected"):
         awaiting.receive(final)
 
 
@@ -559,7 +559,7 @@ def test_a_replayed_request_gets_no_further_than_its_reply(meeting):
     first, _ = meeting.reply(request)
     final, _ = waiting.receive(first, now=meeting.now)
     _, awaiting = meeting.reply(request)
-    with pytest.raises(VerificationError, match="challenge2 is not what it was"):
+    with pytest.raises(VerificationError, match="challenge2 is not as expected"):
         awaiting.receive(final)
 
 
@@ -574,7 +574,7 @@ def test_a_final_is_good_for_one_reply_though_two_have_one_announced_challenge(n
     assert first.challenge2 == second.challenge2
     assert first.dh2 != second.dh2
     final, one = waiting.receive(first, now=now)
-    with pytest.raises(VerificationError, match="dh2 is not what it was"):
+    with pytest.raises(VerificationError, match="dh2 is not as expected"):
         awaiting_second.receive(final)
     with pytest.raises(VerificationError, match="signature"):
         awaiting_second.receive(without(final, *OPTIONAL))

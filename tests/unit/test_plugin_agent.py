@@ -33,7 +33,7 @@ from pqsec_pki.plugin import staying as staying_module
 from pqsec_pki.plugin.__main__ import MAX_LOG
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.plugin.control import Client
-from pqsec_pki.plugin.guest import MAX_GREETING
+from pqsec_pki.plugin.incoming import MAX_GREETING
 from pqsec_pki.plugin.listening import peer
 from pqsec_pki.plugin.server import MAX_CONNECTIONS
 from tests.unit.plugin_wire import framed, greeting, with_room_for
@@ -220,7 +220,7 @@ def test_an_idle_agent_ends_but_not_while_somebody_is_there(place):
 _STAYING = (
     "import sys; sys.path.insert(0, sys.argv.pop(1))\n"
     "from pqsec_pki.plugin import __main__ as agent, server\n"
-    "agent.IDLE_SECONDS = server._GRACE_SECONDS = server._CALM = 0.1\n"
+    "agent.IDLE_SECONDS = server._GRACE_SECONDS = server._QUIET = 0.1\n"
     "agent.start()\n"
 )
 
@@ -304,7 +304,7 @@ def test_an_agent_that_serves_no_new_hosts_is_shown_with_its_hosts_and_stopped(p
         (found,) = retired_agents(place)
         assert (found.process, len(found.connections)) == (process.pid, 1)
         assert found.notice == (
-            "another version was installed: restart these hosts, which keep the one before"
+            "another version was installed: restart these hosts, which use the previous one"
         )
         assert Path(found.socket).name == f"retired-{process.pid}.sock"
         late = AgentFolder(Path(found.socket))

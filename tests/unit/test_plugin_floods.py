@@ -367,7 +367,7 @@ def test_a_reply_that_comes_late_or_twice_is_told_as_that(enclaves):
         with pytest.raises(RefusedError, match="came late, or twice"):
             shim.call("process_handshake", each, begun)
     assert len(shim.log) == 2
-    assert all("process_handshake: passed over: " in line for line in shim.log)
+    assert all("process_handshake: ignored: " in line for line in shim.log)
     assert not any("refused" in line for line in shim.log)
 
 

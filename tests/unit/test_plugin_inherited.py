@@ -360,7 +360,7 @@ def test_hosts_of_the_agent_that_serves_no_others_stay(place):
         assert TURNED_AWAY in host(place, OTHER_MOUNTS)
         assert process.poll() is None
         (found,) = retired_agents(place)
-        assert found.notice.endswith("or root folder: it serves only the hosts that it has")
+        assert found.notice.endswith("or root folder: it serves its present hosts only")
         first.close()
         assert process.wait(PATIENCE) == 0
         said = process.stderr.read()
