@@ -1,8 +1,8 @@
 """JSON as it is signed: by RFC 8785, for values without fractions; and read strictly.
 
 Two readers of one text must not see two plans. So a name that appears twice in an object is
-refused, and so are numbers that are no integers. A signature is over the canonical form of what was
-read: blanks and line ends, which mail and git may change, do not matter.
+refused, and so are numbers that are not integers. A signature is over the canonical form of what
+was read: blanks and line ends, which mail and git may change, do not matter.
 """
 
 import json

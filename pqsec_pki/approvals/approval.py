@@ -112,12 +112,12 @@ def refuse_without(
             raise VerificationError(
                 f"the approval by {each.approver} is of another plan",
                 code=Code.CONTENT_CHANGED,
-                hint="each approval is of one plan, in one state of the keystore: `pqsec approve`",
+                hint="an approval is of one plan and one state: run `pqsec approve` for this plan",
             )
         each.verify(policy)
     names = [each.approver for each in approvals]
     if twice := {name for name in names if names.count(name) > 1}:
-        raise VerificationError(f"two approvals by {min(twice)}: they count as one person's")
+        raise VerificationError(f"two approvals by {min(twice)}, which count as one")
     if len(names) < required:
         others = [name for name in policy.approvers if name not in names]
         raise VerificationError(

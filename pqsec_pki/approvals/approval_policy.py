@@ -134,8 +134,8 @@ class ApprovalPolicy:
 
 
 _WAY_OUT = (
-    "`pqsec propose -o plan.json --key KEY` with this command proposes it, or `pqsec plan` a change"
-    " of the domain file; others `pqsec approve plan.json`, and `pqsec apply plan.json` does it"
+    "propose it with `pqsec propose -o plan.json --key KEY COMMAND`, or a change of the domain file"
+    " with `pqsec plan`; others run `pqsec approve plan.json`; then run `pqsec apply plan.json`"
 )
 
 

@@ -75,7 +75,7 @@ class EnrolmentOrder:
     grant: str
     """The digest of the grant."""
     at: datetime
-    """By the clock of whoever ordered."""
+    """By the clock of the registration authority."""
     expires: datetime
     items: tuple[OrderedName, ...]
     signature: bytes

@@ -63,7 +63,7 @@ class ProposedStep:
 
 @dataclass(frozen=True, slots=True)
 class ChangedRights:
-    """A change of rights, and who has it; nobody if it concerns all."""
+    """A change of rights, and the participants that it concerns; none if it concerns all."""
 
     names: tuple[str, ...]
     changes: tuple[str, ...]

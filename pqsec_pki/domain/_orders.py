@@ -1,7 +1,7 @@
 """Orders of registration authorities that a domain file names: what they make, or why nothing.
 
-The domain file says who shall be there, with which rights; the order has the requests. So an order
-makes nothing that the file does not have, and nothing that its grant does not cover.
+The domain file names the participants and their rights; the order has the requests. So an order
+enrols only participants of the file, with rights that its grant covers.
 """
 
 from collections.abc import Iterator, Mapping

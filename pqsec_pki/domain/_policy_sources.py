@@ -27,7 +27,7 @@ def document_source(path: Path, now: datetime) -> ImportSource:
 
 
 def _add_subjects(source: ImportSource, permissions: Permissions, now: datetime) -> None:
-    """Add a participant for each subject. MalformedError for a text that is no subject name."""
+    """Add a participant for each subject. MalformedError for a text that is not a subject name."""
     for subject, named in {each.subject_name: each.name for each in permissions.grants}.items():
         grants = permissions.grants_for(subject)
         name = _participant_name(common_name_in(subject), named)

@@ -77,6 +77,6 @@ def lifetime(not_before: datetime, not_after: datetime) -> timedelta:
 
 
 def common_name_in(subject: str) -> str:
-    """The CN; empty if there is none. MalformedError for a text that is no subject name."""
+    """The CN; empty if there is none. MalformedError for a text that is not a subject name."""
     parts = [pair for part in parse_subject(subject) for pair in part]
     return next((value for kind, value in parts if kind == "CN"), "")

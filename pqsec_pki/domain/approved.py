@@ -1,7 +1,7 @@
 """Applies a plan that was approved: exactly its steps, each once, from the state it was made for.
 
 The ledger gets a line for the plan and one for each approval before the first change. If the work
-is interrupted, the same file goes on: the lines since then tell which steps are done.
+is interrupted, the same file continues it: the lines since then show which steps are done.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -39,7 +39,7 @@ _LINES: Mapping[str, str] = {
     StepAction.STORE_APPROVALS: "approvals",
 }
 """The kind of line that each step leaves in the ledger; groups leave none."""
-_AGAIN = "make a new plan, and let it be approved"
+_AGAIN = "make a new plan, and ask for new approvals"
 
 
 @dataclass(frozen=True, slots=True)

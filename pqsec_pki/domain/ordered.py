@@ -31,7 +31,7 @@ from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.problems import Code
 
 _SKEW = timedelta(hours=1)
-"""How far the clock of whoever ordered may be ahead."""
+"""How far the clock of the registration authority may be ahead."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -146,7 +146,8 @@ def _refuse_late(order: EnrolmentOrder, found: Registration, now: datetime) -> N
 def uncovered(
     items: Sequence[OrderedName], grant: RegistrationGrant, *, used: int = 0
 ) -> Iterator[str]:
-    """What of an order the grant does not cover, of which `used` participants were enrolled."""
+    """The parts of an order that the grant does not cover, if it enrolled `used` participants
+    before."""
     for each in items:
         if not any(matching(pattern, [each.name]) for pattern in grant.names):
             yield f"{each.name}: the grant is for {', '.join(grant.names)}"

@@ -155,7 +155,7 @@ def rights_words(difference: Difference) -> Iterator[str]:
 
 
 def demanded_policy(keystore: Keystore, hint: str) -> ApprovalPolicy:
-    """Whose approvals the keystore demands; KeystoreError, with the hint, if nobody's."""
+    """The keystore's policy of approvals; KeystoreError, with the hint, if it demands none."""
     if policy := keystore.approvals:
         return policy
     raise KeystoreError(f"{keystore.root} demands no approvals", hint=hint)

@@ -24,11 +24,11 @@ class BundleFile:
 
     @property
     def has_plain_keys(self) -> bool:
-        """Whether anybody with the file can read private keys."""
+        """Whether every reader of the file can read private keys."""
         return self.bundle.has_keys and self.recipient is None
 
     def refuse_plain_keys(self) -> None:
-        """UsageError if anybody could read private keys, and it may not have them."""
+        """UsageError if every reader could read private keys, and it may not have them."""
         if self.has_plain_keys and not self.plain_key:
             raise UsageError(
                 f"the bundle has private keys of {', '.join(self.bundle.names)}",

@@ -52,7 +52,7 @@ class Installed:
     bundle: int | None
     """The bundle's number, if it has one."""
     receipt: Path
-    """The receipt, which tells the machine with the CAs what is installed."""
+    """The receipt, which shows the machine with the CAs what is installed."""
 
     def to_json(self) -> dict[str, object]:
         """The result for --json."""
@@ -81,12 +81,12 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
 ) -> Installed:
     """Install a bundle, from a file or as its content, into the robot's folder `root`.
 
-    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here.
-    On a first installation `trust_first` trusts the CAs in the bundle. `older` accepts
-    documents older than those installed before. Other installed participants stay, with the
-    bundle's revocation list, unless `alone`. With `proofs` this bundle, and all later ones, must
-    prove that the ledger has their documents. `agreed` are the participants that `alone` may
-    remove, as `removed_alone` told them; None for any. `pin` is asked for the PIN of a token.
+    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here. On a
+    first installation `trust_first` trusts the CAs in the bundle. `older` accepts documents older
+    than those installed before. Other installed participants stay, with the bundle's revocation
+    list, unless `alone`. With `proofs` this bundle, and all later ones, must prove that the ledger
+    has their documents. `agreed` are the participants that `alone` may remove, as of
+    `removed_alone`; None for any. `pin` is asked for the PIN of a token.
 
     The files are verified, and written again from the verified values. VerificationError lists
     everything that is wrong with the bundle; KeystoreError if `alone` would remove more than was

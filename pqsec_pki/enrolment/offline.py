@@ -48,7 +48,7 @@ MAX_UNPACKED = 256 << 20
 
 @dataclass(frozen=True, slots=True)
 class SignRequest:
-    """Certificate requests of robots, and the permissions that each shall get."""
+    """Certificate requests of robots, and the permissions that each asks for."""
 
     requests: tuple[CertificateRequest, ...]
     specs: tuple[ParticipantSpec, ...]

@@ -1,10 +1,10 @@
 """Receipts: what a robot runs, signed with the keys of its participants.
 
-A robot has one receipt: an archive that has, for each installed participant, its certificate
-and a statement, which names the installed files by their SHA-256. The statement is S/MIME, like
-governance and permissions, signed with the certificate's key; if the certificate has an
-alternative key, that key countersigns. A receipt is evidence for who knows which certificates
-were issued to whom: `receipt_import.py`.
+A robot has one receipt: an archive that has, for each installed participant, its certificate and a
+statement, which names the installed files by their SHA-256. The statement is S/MIME, like
+governance and permissions, signed with the certificate's key; if the certificate has an alternative
+key, that key countersigns. A receipt is evidence for a keystore, which knows the certificates of
+each participant: `receipt_import.py`.
 """
 
 import hashlib
@@ -82,9 +82,9 @@ def read_receipts(data: bytes, is_issued: IsIssued | None = None) -> tuple[Signe
     """The receipts in the file `data`, each signed by the holder of the certificate beside it.
 
     MalformedError if it is not a receipt file. VerificationError, with everything that is wrong,
-    for a signature that is not valid or missing, and for a receipt of another certificate. With
-    `is_issued`, which says whether a participant ever had that certificate, the first problem ends
-    it: so a file with thousands of participants is as much work as those that they really are.
+    for a signature that is not valid or missing, and for a receipt of another certificate.
+    `is_issued` says whether a participant ever had that certificate. With it, reading ends at the
+    first problem, so that the work is limited by the participants that the keystore knows.
     """
     archive = Archive.unpack(data, RECEIPT)
     if not archive.files:

@@ -1,7 +1,7 @@
 """Record what robots run: verify their receipts against the ledger, and enter them there.
 
-The ledger decides which certificates were issued to whom, so a robot may still use one that was
-renewed: its receipt then shows that the robot is outdated.
+The ledger decides which participant a certificate was issued to, so a robot may still use one that
+was renewed: its receipt then shows that the robot is outdated.
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -42,7 +42,8 @@ class ImportedReceipt:
     """Whether it was recorded before, so that nothing was done."""
     revoked: bool = False
     """Whether it was not recorded: its certificate or key was revoked. The others of its file are
-    recorded, or a robot of several participants could tell nothing after one was revoked."""
+    recorded; otherwise a robot of several participants could send no receipt after one was
+    revoked."""
 
     def to_json(self) -> dict[str, object]:
         """The receipt for --json."""

@@ -26,7 +26,7 @@ from pqsec_pki.tokens import Pin, is_reference, key_file, participant_keys, stor
 REQUEST = "request.csr"
 SEALING_KEY, SEALING_PUBLIC_KEY = "bundle.key.pem", "bundle.pub.pem"
 IN_FILE = "file"
-"""In place of a URI: the key shall be in a file."""
+"""In place of a URI, for a key in a file."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
     """Generate the keys of each participant, and the request for their certificate.
 
     They are in a folder of the participant under `root`, the keys with mode 0600, until `install`
-    gets the answer. A pattern stands for the participants that were requested or installed here.
+    gets the answer. A pattern matches the participants that were requested or installed here.
     UsageError for an invalid name, KeystoreError for a pattern that matches none; ExistsError if
     there is a request for one of them already, unless `force`: then none is made.
 
@@ -118,7 +118,7 @@ def _refuse_unplaced(
         outside = [file for file, data in before.items() if file in KEYS and is_reference(data)]
         if any(file not in uris for file in outside):
             raise UsageError(
-                f"a key of {name} is in a token, and its new one would lie in a file",
+                f"a key of {name} is in a token, and the new key would be in a file",
                 hint="name the new key's place: --participant-key-uri (--alt-key-uri) URI; the"
                 f" same URI keeps the key, `{IN_FILE}` puts it into a file",
             )
@@ -130,7 +130,7 @@ def _named(store: CredentialStore, names: Iterable[str]) -> list[str]:
     try:
         return list(dict.fromkeys(map(regular_name, expanded(given, known, {}))))
     except KeystoreError as error:
-        error.hint = f"a pattern stands for participants that {store.root} has already: give names"
+        error.hint = f"a pattern matches only participants that {store.root} has: give names"
         raise
 
 

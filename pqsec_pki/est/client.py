@@ -1,6 +1,6 @@
 """Questions to a server, over TLS with HTTP/1.1; one connection for each.
 
-Nothing that a server sends is trusted before its key is: no redirect is followed, no proxy is
+Nothing that a server sends is trusted before its key is: redirects are not followed, no proxy is
 used, each step has a time limit, and an answer a size limit.
 """
 
@@ -48,7 +48,7 @@ _Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
 
 
 class RequestEndedError(VerificationError):
-    """The server never answers this request; it may answer another one."""
+    """The server never answers this request, and may answer another one."""
 
 
 class TryAnotherError(PqsecError):
@@ -63,7 +63,7 @@ class ServerAnswer:
     body: bytes = field(repr=False)
     retry_after: timedelta
     date: datetime | None
-    """The server's clock, if it told."""
+    """The server's time, if the answer has it."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +172,9 @@ class EstClient:
         why = _problem_words(problem)
         words = f"{self.server} says: {why}" if why else f"{self.server} answers {status}"
         if 300 <= status < 400:  # noqa: PLR2004 -- redirects (RFC 9110 15.4)
-            raise PqsecError(f"{words}: no redirect is followed", hint="use the server's own URL")
+            raise PqsecError(
+                f"{words}: redirects are not followed", hint="use the server's own URL"
+            )
         if status in _ANOTHER:
             raise TryAnotherError(words, hint="run the command again later")
         if status in _LATER or status >= HTTPStatus.INTERNAL_SERVER_ERROR:

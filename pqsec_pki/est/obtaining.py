@@ -25,14 +25,14 @@ from pqsec_pki.problems import Code
 from pqsec_pki.tokens import Pin, is_reference, stored_pin, uri_in
 
 CLOCKS_DIFFER = timedelta(minutes=5)
-"""A smaller difference is not told."""
+"""A smaller difference is not reported."""
 
 Enclave = Mapping[str, bytes]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class KeyTerms:
-    """How the keys of a participant are made, and whom it trusts."""
+    """How the keys of a participant are made, and which CAs it trusts."""
 
     profile: Profile | None = None
     """None for keys of the kinds that it has."""
@@ -42,8 +42,8 @@ class KeyTerms:
     uris: Mapping[str, str] | None = None
     pin: Pin = stored_pin
     force: bool = False
-    """Whether `enrol` shall make a new request, whatever is installed or waits. The answer to one
-    that waits is then lost."""
+    """Whether `enrol` makes a new request, whatever is installed or waits. The answer to one that
+    waits is then lost."""
 
 
 class WaitingError(PqsecError):
@@ -120,7 +120,7 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
     except VerificationError as error:
         if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
             error.hint = (
-                f"here it is {said(now)}, at the server {said(answer.date)}:"
+                f"the time is {said(now)} here, and {said(answer.date)} at the server:"
                 " set the clock, and run the command again"
             )
         raise

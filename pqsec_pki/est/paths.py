@@ -13,4 +13,5 @@ BUNDLE_TYPE, RECEIPT_TYPE = "application/vnd.pqsec.bundle", "application/vnd.pqs
 PROBLEM, TEXT = "application/problem+json", "text/plain; charset=utf-8"
 """RFC 9457."""
 REQUEST_ENDED = "/pqsec/v1/problems/request-ended"
-"""The type of a problem (RFC 9457 3.1.1): this request is never answered, another one may be."""
+"""The type of a problem (RFC 9457 3.1.1): the server never answers this request, and may answer
+another one."""

@@ -36,7 +36,7 @@ from pqsec_pki.est.obtaining import (
 from pqsec_pki.est.paths import BUNDLE, RECEIPT_TYPE, RECEIPTS
 from pqsec_pki.keystore import State, expanded, regular_name
 
-_NEW_REQUEST = "it is never answered: `pqsec enrol --force` makes a new one, with the same options"
+_NEW_REQUEST = "make a new request: `pqsec enrol --force`, with the same options"
 Clock = Callable[[], datetime]
 
 
@@ -197,9 +197,9 @@ def _renewed(  # noqa: PLR0913 -- by name
 def _answered(
     client: EstClient, name: str, root: Path, terms: KeyTerms, held: Certificate
 ) -> ServerAnswer:
-    """The answer to the request that waits, or to a new one if that is never answered.
+    """The answer to the waiting request, or to a new one if the server never answers that one.
 
-    Nobody at the robot decides about it: a renewal that somebody refused is asked for again.
+    A renewal runs without a person, so it repeats a refused request with a new one.
     """
     try:
         return answer_to(client, ask_for(root, name, terms, held))

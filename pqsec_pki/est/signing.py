@@ -66,10 +66,10 @@ def verify_signed(  # noqa: PLR0913 -- the parts of a request, by name
     """The certificate whose keys all signed the request; nothing else of it is verified.
 
     `certificates` are the values of CERTIFICATE_HEADER, `signatures` what follows the scheme.
-    NotSignedError if they did not; MalformedError for what is no certificate.
+    NotSignedError if they did not; MalformedError for values that are not certificates.
     """
     if len(certificates) != 1:
-        raise NotSignedError(f"a signed request has {CERTIFICATE_HEADER} once")
+        raise NotSignedError(f"a signed request must have one {CERTIFICATE_HEADER}")
     found = Certificate.from_der(_octets(certificates[0]))
     given = [_octets(each) for each in signatures.split(",")]
     keys = [each for each in (found.public_key, found.alternative_key) if each]

@@ -21,7 +21,7 @@ _PIECE = 16 << 10
 class TlsStream:
     """A connection whose every wait ends at a deadline, with TimeoutError.
 
-    So a server that sends one byte after the other holds nobody for longer.
+    So a server that sends one byte after another cannot delay its client for longer.
     """
 
     def __init__(self, connected: socket.socket, context: SSL.Context, host: str) -> None:

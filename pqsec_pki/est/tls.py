@@ -69,10 +69,10 @@ class ServerTrust:
     """Without pins: CAs in PEM, one of which issued a valid certificate for the server's name."""
 
     def __post_init__(self) -> None:
-        """UsageError if nothing says which server is trusted."""
+        """UsageError if neither pins nor CAs are given."""
         if not (self.pins or self.authorities):
             raise UsageError(
-                "nothing says which server is trusted",
+                "no server is trusted: no pin and no CA is given",
                 hint="use a token file, --server-pin SHA256, or --server-ca FILE",
             )
 
@@ -92,9 +92,9 @@ def server_context(
 ) -> SSL.Context:
     """A context of a server, which asks for a client's certificate and accepts any, or none.
 
-    `identities` have keys of different kinds. With `classical` there is TLS 1.2 too, and
-    `refuse_classical` shall not be asked. `client_cas`, in PEM, are named to clients that choose
-    among certificates. PqsecError for an identity that OpenSSL refuses.
+    `identities` have keys of different kinds. With `classical` there is TLS 1.2 too, and the caller
+    must not use `refuse_classical`. `client_cas`, in PEM, are named to clients that choose among
+    certificates. PqsecError for an identity that OpenSSL refuses.
     """
     context = _context(SSL.TLS_SERVER_METHOD, classical=classical)
     context.set_session_id(_SESSION)

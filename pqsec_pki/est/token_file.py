@@ -1,6 +1,6 @@
-"""An enrolment token: a file that lets one robot enrol, and tells it whom to trust.
+"""An enrolment token: a file with which one robot enrols, and which names the CAs to trust.
 
-It is a secret, as long as it may be used: whoever has it can enrol in the robot's place.
+It is a secret while it is valid: its holder can enrol in the robot's place.
 """
 
 import base64
@@ -35,7 +35,7 @@ class EnrolmentToken:
     server_pins: frozenset[str]
     """SHA-256 of the server's keys (SPKI), in hex."""
     cas: Pins
-    """The CAs that the robot shall trust."""
+    """The CAs that the robot is to trust."""
     id: str
     """What the server knows the token by; no secret."""
     secret: str = field(repr=False)
@@ -99,7 +99,7 @@ class EnrolmentToken:
         return token
 
     def to_bytes(self) -> bytes:
-        """The file's content, for a file that nobody else can read."""
+        """The file's content, for a file that only its owner can read."""
         value = {
             "format": FORMAT,
             "kind": KIND,
@@ -121,9 +121,8 @@ class EnrolmentToken:
 
 
 def secret_hash(secret: str) -> str:
-    """SHA-256 of the secret's bytes, in hex; empty for a text that is no secret.
-
-    The secret is random, so nobody finds it by trying: it needs no salt and no slow hash.
+    """SHA-256 of the secret's bytes, in hex; empty for a text that is not a secret. The secret is
+    random and cannot be guessed, so it needs no salt and no slow hash.
     """
     try:
         data = base64.b64decode(f"{secret}=", altchars=b"-_", validate=True)

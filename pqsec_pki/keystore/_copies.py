@@ -1,7 +1,7 @@
 """The copy of a ledger in memory that this thread used last, kept for its next question.
 
-A change asks its ledger eight times, and a server makes one change after the other: most of its
-time went into reading the same lines again. A copy is used again only if nothing was changed.
+A change asks its ledger eight times, and a server makes one change after another. Without copies it
+spent most of its time reading the same lines. A copy is used again only if nothing was changed.
 """
 
 import os
@@ -14,8 +14,8 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.keystore import _lock
 
 _TICK, _LONG_TICK = 50_000_000, 3_000_000_000
-"""Nanoseconds. Times of files go in steps: of up to 10 ms, or of one or two seconds in some file
-systems. Of two changes within a step, the times of the file show only one."""
+"""Nanoseconds. File systems store times in steps of up to 10 ms, some of one or two seconds. Two
+changes within one step can leave the same time."""
 _SECOND = 1_000_000_000
 
 
@@ -43,7 +43,8 @@ class LedgerCopy:
     """None if the copy is not used again."""
     process: int
     right_at: int
-    """When it had all lines, in nanoseconds: when it was read, or later, in a hold of the lock."""
+    """A time at which it had all lines, in nanoseconds: when it was read, or later while the lock
+    was held."""
     hold: int = 0
     """The hold of the keystore's lock in which it was used last; 0 for none."""
 
@@ -73,7 +74,7 @@ _copies = _Copies()
 
 
 def take(key: CopyKey | None) -> LedgerCopy | None:
-    """The copy with that key, which nobody else has then; None if there is none."""
+    """The copy with that key, for this caller alone; None if there is none."""
     kept = _copies.kept
     if key is None or kept is None or not kept.has_all(key):
         return None

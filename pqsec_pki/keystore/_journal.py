@@ -85,7 +85,7 @@ def hold(root: Path, *, keep_connection: bool = False) -> Iterator[None]:
     """Lock the keystore at `root` against other processes, after finishing any open change.
 
     The thread that holds the lock may make any number of changes. Errors as with `change`. With
-    `keep_connection` that to the ledger's database stays open for its next hold.
+    `keep_connection`, the connection to the ledger's database stays open for the next lock.
     """
     with _disk_errors(root), locked(root) as folder:
         _settle(folder)
@@ -155,8 +155,8 @@ def _settle(root: Folder) -> bool:
             committed = database.has(commitment.number, commitment.chain)
     except KeystoreError as error:
         raise InterruptedChangeError(
-            f"a change was interrupted when it was committed; whether it was, only the database"
-            f" knows: {error}",
+            f"a change was interrupted during its commit, and only the database knows the outcome:"
+            f" {error}",
             hint="run the command again, or `pqsec ca recover`, when the database answers",
         ) from error
     if committed:

@@ -60,7 +60,7 @@ class Ledger:
     """A copy in memory of the lines in a store, as of its creation."""
 
     def __init__(self, store: LedgerStore) -> None:
-        """Load it; KeystoreError if it is missing there, or is no ledger."""
+        """Load it; KeystoreError if it is missing there, or is not a ledger."""
         self._place = store.place
         with self._errors("not a ledger: "):
             self._open: _copies.LedgerCopy | None = _updated(store) or _loaded(store)

@@ -65,8 +65,8 @@ _MODE, _VERIFIED = "PGSSLMODE", "verify-full"
 _BATCH = 5000
 """Rows of one answer."""
 _LONGEST = 60.0
-"""Seconds after which a connection is made anew: the name may lead to another server by then, and
-the role or its password may be another."""
+"""Seconds after which a new connection replaces it: the name may lead to another server by then,
+and the role or its password may have changed."""
 _NOTHING = "nothing was changed: run the command again when the database answers"
 _GUIDE = "docs/how-to/postgresql.md"
 
@@ -107,7 +107,7 @@ class PostgresLedger:
             self._connection.close()
 
     def serves(self, address: LedgerAddress) -> bool:
-        """Whether it is one to `address`, and the server would let it begin again."""
+        """Whether it is a connection to `address`, which may still write to the same format."""
         if self.address != address or time.monotonic() - self._made > _LONGEST:
             return False
         try:
@@ -123,7 +123,7 @@ class PostgresLedger:
 
     @property
     def key(self) -> CopyKey:
-        """Lines are only added: who has a copy asks for the newer ones."""
+        """Lines are only added: for a copy, only the newer ones are read."""
         return CopyKey(self.address.url)
 
     def update(self, database: sqlite3.Connection) -> bool:
@@ -154,7 +154,8 @@ class PostgresLedger:
 
     @contextmanager
     def hold(self) -> Iterator[None]:
-        """Exclude other writers, for any number of changes; who gets an error closes it."""
+        """Exclude other writers, for any number of changes. After an error the caller closes the
+        connection."""
         with self._errors():
             self._connection.execute("SELECT pg_advisory_lock(%s)", (_LOCK,))
         self._holds = True
@@ -194,12 +195,12 @@ class PostgresLedger:
             cursor.executemany(_KEEP, files)
 
     def kept(self, wanted: Collection[str]) -> dict[str, bytes]:
-        """Of the files with these SHA-256 those that are there; nobody compared their content."""
+        """The files with these SHA-256, as far as they are there; their content is not checked."""
         with self._errors():
             return dict(self._connection.execute(_KEPT, (list(wanted),)).fetchall())
 
     def waiting(self) -> list[tuple[str, str, str]]:
-        """Of the requests that wait the SHA-256, what is known, and when they were last sent."""
+        """The waiting requests: SHA-256, what is known, and when they were last sent."""
         with self._errors():
             return self._connection.execute(_WAITING).fetchall()
 
@@ -225,7 +226,7 @@ class PostgresLedger:
             self._connection.execute(_REMOVE_WAITING, (list(ids),))
 
     def commit(self) -> None:
-        """End the change. After a KeystoreError only `has` tells whether it was committed."""
+        """End the change. After a KeystoreError only `has` shows whether it was committed."""
         with self._errors():
             if self._connection.execute("COMMIT").statusmessage != "COMMIT":
                 raise KeystoreError(f"{self.place}: the change was refused", hint=_NOTHING)
@@ -263,7 +264,7 @@ class PostgresLedger:
         except errors.LockNotAvailable:
             raise KeystoreError(
                 f"{self.place}: another pqsec command is using this ledger",
-                hint="one whose machine was cut off gives it back after a minute",
+                hint="if its machine lost the connection, the lock ends after a minute",
             ) from None
         except (errors.UndefinedTable, errors.InvalidSchemaName):
             raise _without_tables(f"{self.place} has no ledger") from None

@@ -1,7 +1,7 @@
-"""The tables of a ledger in PostgreSQL, as SQL for who owns the database; and its rights.
+"""The tables of a ledger in PostgreSQL, as SQL for the owner of the database; and its rights.
 
-pqsec itself connects as a role that reads and inserts. So who has a machine's password can add
-lines, and the database lets nobody but its owner change one. Requests that wait are not lines.
+pqsec itself connects as a role that reads and inserts. So a machine's password allows adding lines,
+and only the owner of the database can change one. Waiting requests are not lines.
 """
 
 from collections.abc import Iterable, Iterator

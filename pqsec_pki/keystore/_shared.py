@@ -1,7 +1,7 @@
 """Which keystores have their ledger in a database, and the connection of the change that is made.
 
-A thread that changes such a keystore asks and writes by one connection; others by one of their own.
-One that makes one change after the other, as a server, keeps its connection between them.
+A thread that changes such a keystore reads and writes with one connection; other threads have their
+own. A server, which makes one change after another, keeps its connection between them.
 """
 
 import os
@@ -64,7 +64,7 @@ def reading(root: Path, folder: Folder) -> "Iterator[PostgresLedger | None]":
 def _connection(
     root: Path, address: LedgerAddress, *, keep: bool = False
 ) -> "Iterator[PostgresLedger]":
-    """A connection without locks: the spare one, or a new one; with `keep` the spare one then."""
+    """A connection without locks: the spare one, or a new one, which `keep` makes the spare one."""
     this = (os.getpid(), root)
     spare = _connections.spare.pop(this, None)
     if spare and not spare.serves(address):

@@ -40,7 +40,7 @@ _KEYS = (
     "CREATE INDEX IF NOT EXISTS temp.certified_key ON certified (key)",
     "CREATE INDEX IF NOT EXISTS temp.certified_number ON certified (number)",
 )
-"""They are no part of the ledger, and in no file."""
+"""They are not part of the ledger, and not in a file."""
 COLUMNS = "at, kind, name, serial, sha256, not_after, issuer, details, operator"
 _DETAILS = COLUMNS.split(", ").index("details")
 _FILL = (
@@ -65,7 +65,7 @@ def transaction(database: sqlite3.Connection) -> Iterator[None]:
 
 @contextmanager
 def part_of_change(database: sqlite3.Connection) -> Iterator[None]:
-    """All changes of the block, or none; who asked for them commits them, or drops them."""
+    """All changes of the block, or none. The caller commits them, or drops them."""
     if not database.in_transaction:
         database.execute("BEGIN IMMEDIATE")
     database.execute("SAVEPOINT part")

@@ -1,7 +1,8 @@
 """Anchors: signed heads of the ledger that are kept in another place, and what they show.
 
-Who can write the ledger and use the CA keys can replace it by another whole one. It then no longer
-has the lines of which heads were signed before, and those heads are where they cannot be changed.
+An attacker who can write the ledger and use the CA keys can replace it by another complete ledger.
+That one lacks the lines of which heads were signed before, and the attacker cannot change those
+heads.
 """
 
 from collections.abc import Iterator, Mapping

@@ -301,9 +301,9 @@ def read_ca_key(path: Path) -> bytes:
     except MissingError:
         raise KeystoreError(
             "the CA's private key is not here",
-            hint="put it back for this command; or, if it is kept on another machine, work there:"
-            " `pqsec sign-request`; with each CA on a machine of its own, `pqsec issue"
-            f" --certificate-only` and `pqsec permit`. {_KEYLESS}",
+            hint="restore the key for this command. If another machine has it, use `pqsec"
+            " sign-request`; if each CA has its own machine, `pqsec issue --certificate-only` and"
+            f" `pqsec permit`. {_KEYLESS}",
             where=path,
         ) from None
     except FileError as error:

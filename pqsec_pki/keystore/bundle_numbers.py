@@ -1,6 +1,6 @@
 """The number of a bundle: that of the newest ledger line among its files.
 
-It needs no counter, so who may only read a keystore can write bundles. Each change of a
+It needs no counter, so a user who may only read a keystore can write bundles. Each change of a
 participant's files adds lines, so the number grows with it.
 """
 

@@ -117,7 +117,7 @@ def extended(
     """The next head, over all lines of `ledger` and then `entries`, which are added to it.
 
     None if the last head is over the same lines, or if lines that it is over are no longer there:
-    the CA signs no other history. `pqsec log --verify` then tells it.
+    the CA does not sign a second history. `pqsec log --verify` then reports it.
     """
     try:
         last = read_head(root)

@@ -223,8 +223,8 @@ class Keystore:
     def hold(self, *, keep_connection: bool = False) -> Iterator[None]:
         """Lock the keystore against other commands; the holder may make any number of changes.
 
-        KeystoreError if another command locks it for half a minute. Who holds it again and again
-        keeps the connection to a database with its ledger.
+        KeystoreError if another command locks it for half a minute. With `keep_connection`, the
+        connection to the ledger's database stays open for the next lock.
         """
         with _journal.hold(self.root, keep_connection=keep_connection):
             yield

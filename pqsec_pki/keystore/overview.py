@@ -30,7 +30,7 @@ class Overview:
     """The role of each CA, and its certificate."""
     participants: tuple[str, ...]
     approvals: str
-    """Whose approvals changes need; empty if nobody's, or if the ledger cannot be read."""
+    """Whose approvals changes need; empty if they need none, or if the ledger cannot be read."""
     ledger: LedgerAddress | None
     """The database with the ledger; None if it is in a file of the keystore."""
 

@@ -30,9 +30,9 @@ def enclave_files(
 ) -> dict[str, bytes]:
     """The files of the participant called `name`, links followed, by their names in FILES.
 
-    Who asks for many participants keeps `linked`, so that what they share is read once.
-    Files that are not NEEDED may be missing. KeystoreError if there is no such participant, or
-    a needed file is missing. FileError for a link that leads out of the keystore, or a key that
+    A caller that reads many participants passes the same `linked`, so that shared files are read
+    once. Files that are not NEEDED may be missing. KeystoreError if there is no such participant,
+    or a needed file is missing. FileError for a link that leads out of the keystore, or a key that
     is a link: a bundle must not contain other files of this machine.
     """
     return _files(root, name, NEEDED, {} if linked is None else linked)

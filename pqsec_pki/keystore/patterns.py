@@ -19,9 +19,9 @@ def is_several(name: str) -> bool:
 def expanded(
     names: Iterable[str], known: Sequence[str], groups: Mapping[str, Sequence[str]]
 ) -> list[str]:
-    """The names, each once; for a pattern or a group those of `known` that it stands for.
+    """The names, each once; for a pattern or a group those of `known` that it matches.
 
-    `*` stands for any characters but `/`, so `/tb3/*` are the nodes of a robot, and `**` for any
+    `*` matches any characters except `/`, so `/tb3/*` are the nodes of a robot; `**` matches any
     characters. `groups` has the members of each group by its name without `@`. Names of single
     participants are not looked for. KeystoreError for a pattern that matches none, for an unknown
     group, and for a group with no member in `known`.

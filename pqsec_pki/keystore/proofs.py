@@ -28,8 +28,8 @@ class LedgerProofs:
     def of(cls, root: Path, ledger: Ledger, tree: MerkleTree | None = None) -> Self | None:
         """The proofs for `ledger`, of the keystore at `root`.
 
-        None if there is no signed head, or the ledger no longer has what was signed. Who makes
-        proofs again and again keeps a `tree`, which gets the lines that are new.
+        None if there is no signed head, or the ledger no longer has what was signed. A caller that
+        makes proofs repeatedly passes the same `tree`, which gets the new lines.
         """
         try:
             checkpoint = read_head(root)

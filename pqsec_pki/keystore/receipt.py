@@ -108,7 +108,7 @@ class Receipt:
 
     @property
     def sha256(self) -> str:
-        """SHA-256 of the statement, in hex: the same whoever signs it, and however often."""
+        """SHA-256 of the statement, in hex; it does not depend on the signatures."""
         return hashlib.sha256(self.to_json()).hexdigest()
 
 

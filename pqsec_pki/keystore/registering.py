@@ -178,7 +178,8 @@ def enrolled_by(keystore: Keystore, authority: str) -> list[str]:
 
 
 def predates_approvals(keystore: Keystore, found: Registration) -> bool:
-    """Whether the present rule of approvals is newer than the grant: nobody approved it."""
+    """Whether the present rule of approvals is newer than the grant, which then has no
+    approvals."""
     with keystore.open_ledger() as ledger:
         return found.number < max(ledger.numbers("approvals").values(), default=0)
 

@@ -1,7 +1,7 @@
 """Requests that wait at servers with one ledger: rows of its database, for all of them.
 
-They are not lines: anybody can send one, and they go. Who holds the keystore, as a server that
-answers, keeps other servers out; each row is committed at once.
+They are not lines: any client can send one, and they are removed. A server that answers has the
+keystore's lock, which excludes other servers; each row is committed at once.
 """
 
 from collections.abc import Collection, Iterator
@@ -24,7 +24,7 @@ class RequestRow(NamedTuple):
 
     sha256: str
     known: str
-    """JSON of who keeps it."""
+    """JSON of the server."""
     asked: str
     """When it was last sent, in ISO 8601 with its zone."""
 

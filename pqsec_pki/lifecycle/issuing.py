@@ -263,7 +263,7 @@ def _refuse_files(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
             continue
         if outside := keystore.keys_outside(spec.name) - spec.outside.keys():
             raise UsageError(
-                f"{min(outside)} of {spec.name} is in a token, and its new one would lie in a file",
+                f"{min(outside)} of {spec.name} is in a token, and the new key would be in a file",
                 hint="name the new key's place: --participant-key-uri (--alt-key-uri) URI, or"
                 " `file` for a file",
             )

@@ -211,7 +211,7 @@ def refuse_keys_in_files(keystore: Keystore, terms: Rollover, placed: Collection
     names = [each for each in keystore.key_uris() if each in terms.new_keys and each not in placed]
     if names:
         raise UsageError(
-            f"the new keys would lie in files, and now are in tokens: {', '.join(names)}",
-            hint="name their places: `pqsec ca rotate --identity-key-uri URI`, and so on; `file` in"
-            " place of a URI says that it shall be a file",
+            f"the new keys would be in files, and are in tokens now: {', '.join(names)}",
+            hint="give a URI for each: `pqsec ca rotate --identity-key-uri URI`, and so on; write"
+            " `file` instead of a URI for a key in a file",
         )

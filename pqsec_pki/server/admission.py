@@ -51,7 +51,7 @@ _ORDERED = "an order"
 """What admits a request that a registration authority ordered."""
 _DEVICE = "device"
 """The begin of the name of an admission by a factory's certificate."""
-_BY_ORDER = "is enrolled by a registration authority's order, and none has this request"
+_BY_ORDER = "is enrolled by a registration authority's order, and no order has this request"
 _OTHER_RIGHTS = (
     "was enrolled by an order with other rights than the domain file has:"
     " `pqsec apply` gives it those"
@@ -120,7 +120,7 @@ class Admission:
     def _refuse_undecided(
         self, request: CertificateRequest, name: str, call: SignerCall, *, planned: bool
     ) -> None:
-        """NotAdmittedError unless somebody approved the request; it waits if nobody decided.
+        """NotAdmittedError unless the request was approved; without a decision, it waits.
 
         Where only a plan issues, it also waits until it was `planned`.
         """
@@ -153,7 +153,7 @@ class Admission:
         NotAdmittedError if it showed none, or one that is not valid.
         """
         if not call.certificate:
-            raise nobody()
+            raise without_certificate()
         return self._of_certificate(Certificate.from_der(call.certificate))
 
     def _holder(self, call: SignerCall) -> Requester:
@@ -227,7 +227,7 @@ class Admission:
         )
 
     def _member(self, name: str, label: str) -> Member:
-        """The participant; NotAdmittedError if nobody may ask for it over the network."""
+        """The participant; NotAdmittedError if it cannot be requested over the network."""
         if label and label not in self.desired.groups:
             raise NotAdmittedError(404, "unknown label: a label is a group of the domain file")
         member = self.desired.members.get(name)
@@ -261,8 +261,8 @@ class Admission:
     def _was_ordered(self, name: str, request: CertificateRequest) -> bool:
         """Whether the newest certificate is what a registration authority ordered for the request.
 
-        Then the order admits whoever sends the request, which is for its key: nothing is issued,
-        and every handshake shows what is answered.
+        Then the order admits every sender of that request: nothing is issued, and the answer is
+        public in every handshake.
         """
         line = self._ordered(name) if any(self._requests_of(name)[-1:]) else None
         wanted = (name, request.fingerprint)
@@ -283,13 +283,13 @@ class Admission:
     def _was_answered(self, name: str, request: CertificateRequest, holder: Requester) -> bool:
         """Whether the newest certificate answers this request, and may be given to this holder.
 
-        Who has a certificate of the participant may fetch the newest in any case.
+        A holder of a certificate of the participant may fetch the newest in any case.
         """
         answered = self._requests_of(name)
         if request.fingerprint not in answered:
             return False
         if answered[-1] != request.fingerprint:
-            raise _ended(409, "this request was answered, and another since")
+            raise _ended(409, "this request was answered, and a later one too")
         admissions = self._lines(ADMISSION, holder.by)
         return holder.certificate is not None or any(
             request_of(each) == request.fingerprint for each in admissions
@@ -330,9 +330,9 @@ class Admission:
     def _refuse_wider(
         self, held: ParticipantState | None, holder: Requester, member: Member
     ) -> None:
-        """NotAdmittedError if a registration authority would get other rights by this than ordered.
+        """NotAdmittedError if an order enrolled the participant, and the file has other rights.
 
-        Who makes a token for new keys, approves the request or lists the device decides himself.
+        A token for new keys, an approval and a listed device are decisions of the keystore's users.
         """
         decided = (
             holder.by == _APPROVED or holder.device or (holder.token and holder.token.replaces)
@@ -343,13 +343,13 @@ class Admission:
             raise NotAdmittedError(403, f"{held.name} {_OTHER_RIGHTS}")
 
 
-def nobody() -> NotAdmittedError:
-    """The refusal of a client that shows no certificate."""
+def without_certificate() -> NotAdmittedError:
+    """The refusal of a client without a certificate."""
     return NotAdmittedError(401, "show the participant's certificate as client certificate")
 
 
 def _ended(status: int, words: str) -> NotAdmittedError:
-    """The refusal of a request that is never answered, while another one may be."""
+    """The refusal of a request that is never answered; the robot may send another one."""
     return NotAdmittedError(status, words, problem=REQUEST_ENDED)
 
 

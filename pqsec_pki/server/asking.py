@@ -1,7 +1,7 @@
 """Asks the signer from the process that faces the network, without waiting (Twisted).
 
-What the signer cannot take yet waits here: each address has its turn, and if there is too much, the
-one with most gives up what it asked first. So strangers cannot keep robots from the signer.
+Calls that the signer cannot take yet wait here. Addresses take turns; beyond the limit, the oldest
+call of the address with most is refused. So attackers cannot block robots' calls.
 """
 
 from collections import OrderedDict
@@ -82,7 +82,7 @@ class SignerCalls:
             self._reactor.connectUNIX(self._socket, asked, timeout=5)
 
     def _end(self, asked: "_Factory") -> None:
-        """It is answered: another one may be sent."""
+        """End an answered call, and send the next."""
         self.open -= 1
         self._sent -= asked.size * asked.sent
         self._waiting.remove(key_of(asked.call.address), asked)

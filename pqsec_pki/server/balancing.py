@@ -1,6 +1,6 @@
-"""Connections of TCP balancers: whose each is, says a PROXY header before TLS (Twisted).
+"""Connections of TCP balancers: a PROXY header before TLS has the client's address (Twisted).
 
-From the addresses that are configured the header must come; from others nobody reads one.
+Connections from configured addresses must begin with a header; on others it is not read.
 """
 
 from collections.abc import Iterable
@@ -53,7 +53,7 @@ class BalancerLink(Protocol):
             made.dataReceived(rest)
 
     def connectionLost(self, reason: Failure = connectionDone) -> None:  # noqa: N802
-        """It was closed before its header was complete."""
+        """End its time limit: it was closed before its header was complete."""
         del reason
         self._end()
 
@@ -62,7 +62,7 @@ class BalancerLink(Protocol):
         self.transport.abortConnection()
 
     def _end(self) -> None:
-        """It counts no longer as the balancer's."""
+        """Stop counting it as a connection of the balancer."""
         if self._deadline is not None and self._deadline.active():
             self._deadline.cancel()
         self._owner.channels.connections.closed(self)
@@ -73,7 +73,7 @@ class BalancerLink(Protocol):
 
 
 class ClientsOfBalancers(WrappingFactory):
-    """The clients of balancers in these networks, and all others, who come themselves."""
+    """Connections of balancers in these networks, and of all other clients."""
 
     def __init__(self, tls: TlsChannels, networks: Iterable[Network], log: Log) -> None:
         super().__init__(tls)
@@ -102,6 +102,6 @@ class ClientsOfBalancers(WrappingFactory):
         return self._tls.buildProtocol(kind("TCP", address, 0))
 
     def refused(self, link: BalancerLink, detail: str) -> None:
-        """Tell of a balancer that does not send what it must."""
+        """Log that a balancer did not send a valid header."""
         self.channels.count("proxy-header")
         self._log({"event": "a balancer is refused", "address": link.address, "detail": detail})

@@ -55,7 +55,7 @@ class SignerCall:
     certificate: bytes = field(default=b"", repr=False)
     """DER; empty without one."""
     chain: tuple[bytes, ...] = field(default=(), repr=False)
-    """The CAs that the client sent with it, in DER; nobody verified them."""
+    """The CAs that the client sent with it, in DER; they are not verified."""
     body: bytes = field(default=b"", repr=False)
     """DER of a request, or a receipt."""
 

@@ -40,7 +40,7 @@ from pqsec_pki.keystore import (
     load_certificate,
 )
 from pqsec_pki.lifecycle import fetch_files, issue
-from pqsec_pki.server.admission import Admission, nobody
+from pqsec_pki.server.admission import Admission, without_certificate
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.factories import Factory
@@ -54,7 +54,7 @@ from pqsec_pki.transparency import MerkleTree
 NOT_DONE = "the server could not do it: its log says why"
 
 _LONGEST = 1000
-"""Characters of what is told to a client, and is in the log."""
+"""Characters of an error for a client, which is also in the log."""
 Decision = TypeVar("Decision")
 
 
@@ -121,13 +121,14 @@ class CallHandler:
 
     @cached_property
     def _of_holders(self) -> dict[CallKind, Callable[[str, bytes], SignerAnswer]]:
-        """What only the holder of a certificate may ask, with its participant and the body."""
+        """The calls that need a certificate, with its participant and the body."""
         return {CallKind.BUNDLE: self._own_bundle, CallKind.RECEIPT: self._receipt}
 
     def _holders(self, calls: Sequence[SignerCall]) -> list[Requester | SignerAnswer]:
-        """Who shows a valid certificate, or the refusal; the ledger is read once for all."""
+        """The holder of a valid certificate for each call, or the refusal; the ledger is read once
+        for all."""
         if not any(each.certificate for each in calls):
-            return [_refused(nobody())] * len(calls)
+            return [_refused(without_certificate())] * len(calls)
         try:
             with self.keystore.open_ledger() as ledger:
                 deciding = self._admission(ledger)

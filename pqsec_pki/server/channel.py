@@ -221,7 +221,7 @@ class Channels(HTTPFactory):
             self.kept.to_give_up().give_up()
 
     def log(self, request: Request) -> None:
-        """Write nothing: whoever answers writes the log."""
+        """Write nothing: the code that answers writes the log."""
 
 
 class TlsChannels(TLSMemoryBIOFactory):

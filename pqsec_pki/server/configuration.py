@@ -109,7 +109,8 @@ class ServerSettings:
     url: str
     listen: tuple[tuple[str, int], ...] = (("127.0.0.1", 8443),)
     proxy_from: tuple[Network, ...] = ()
-    """Balancers: whose connection it is, says a PROXY header, which is read from these alone."""
+    """Balancers: only their connections begin with a PROXY header, which has the client's
+    address."""
     status: tuple[str, int] | None = None
     """Where health and metrics are served, without TLS: an address of this machine."""
     keystore: Path
@@ -120,7 +121,7 @@ class ServerSettings:
     """The folder of requests that wait, if the ledger is in a file; None for one in `state`."""
     tls: tuple[TlsFiles, ...]
     classical: bool = False
-    """Whether clients without post-quantum key agreement, and with TLS 1.2, may come."""
+    """Whether clients without post-quantum key agreement, and with TLS 1.2, may connect."""
     passphrase_file: Path | None = None
     front_user: str = ""
     """The user of the process that faces the network; empty for the signer's own."""
@@ -139,7 +140,7 @@ class ServerSettings:
 
     @property
     def notices(self) -> Path:
-        """Where the front, started by the signer, tells that it listens."""
+        """The socket at which the front, started by the signer, reports that it listens."""
         return self.state / "front.sock"
 
     def waiting(self, keystore: Keystore) -> WaitingRequests:

@@ -48,7 +48,7 @@ def open_approvals(ledger: Ledger, now: datetime) -> list[Entry]:
 
 
 def demanded(policy: ApprovalPolicy | None) -> str:
-    """Whose approvals a plan with a new certificate needs, in words; empty for nobody's."""
+    """The approvals that a plan with a new certificate needs, in words; empty for none."""
     return policy.demand({Covered.GROW}) if policy else ""
 
 
@@ -62,7 +62,7 @@ def decide(
     demanded.
     """
     waiting = settings.waiting(keystore)
-    with keystore.hold():  # no server answers meanwhile, which would drop one for another
+    with keystore.hold():  # a server that answers could replace a request by another
         chosen = {each.sha256: each for each in map(waiting.named, ids)}.values()
         names = Counter(each.name for each in chosen)
         if kind == APPROVAL and (twice := [name for name, count in names.items() if count > 1]):

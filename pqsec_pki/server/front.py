@@ -91,7 +91,7 @@ class Front:
     def _refused(
         self, request: LimitedRequest, route: Route | None, address: str
     ) -> SignerAnswer | None:
-        """The answer to what nobody may ask, or nobody so often."""
+        """The answer to a request that is not allowed, or comes too often; None for others."""
         if wait := self.by_address.wait(key_of(address)):
             return _too_many(wait)
         if route is None:

@@ -13,7 +13,8 @@ MOST_KEYS = 20_000
 """Addresses that are remembered; the one seen longest ago is forgotten first."""
 _MINUTE = 60.0
 _CONNECTIONS = 2
-"""In a minute, as a multiple of requests: who asks too often is told so, and then not heard."""
+"""In a minute, as a multiple of requests: a client that asks too often first gets 429, and then no
+connection."""
 
 
 @dataclass(slots=True)
@@ -58,7 +59,7 @@ class RecentKeys:
 class Shares:
     """What clients hold of something that is limited, and may have to give up.
 
-    Who holds it is an address; what is held is any object, with an amount.
+    An address holds objects, each with an amount.
     """
 
     total: int = 0
@@ -99,7 +100,7 @@ class Shares:
     def to_give_up(self) -> Any:
         """What the address with the most has held longest, which is removed; None for nothing.
 
-        Who has little keeps it, however much others want.
+        An address with little keeps it, however much others want.
         """
         if not self._held:
             return None

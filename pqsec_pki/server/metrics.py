@@ -12,8 +12,8 @@ _OPENMETRICS = "text/plain; version=0.0.4; charset=utf-8"
 class StatusRequest(Request):
     """`/healthz`: this process runs. `/readyz`: the signer answers. `/metrics`: counts.
 
-    Files that were changed and cannot be used, so that the old ones are in force, are told by the
-    last two: the server answers as before.
+    If changed files cannot be used, the old ones are in force and the server answers as before; the
+    last two paths show this.
     """
 
     def process(self) -> None:

@@ -1,6 +1,6 @@
 """Reads what a client asks and shows, in the process that faces the network.
 
-What is no request, and what belongs to another connection, is refused here.
+It refuses malformed requests, and signatures for another connection.
 """
 
 import base64

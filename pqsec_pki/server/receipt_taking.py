@@ -1,6 +1,7 @@
-"""Takes receipts from robots: a bounded amount of work and of ledger for each.
+"""Accepts receipts from robots, with limits for the work and the ledger lines of each robot.
 
-A robot that has a certificate may still mean harm: a file of 1 MB has 10,000 participants.
+A robot with a certificate may be under an attacker's control: a file of 1 MB can have 10,000
+participants.
 """
 
 from datetime import datetime

@@ -1,4 +1,4 @@
-"""Who asks, what may be answered, and the refusal of the rest."""
+"""The requester, what may be answered, and the refusal of the rest."""
 
 from collections.abc import Iterable
 from datetime import datetime, timedelta
@@ -11,8 +11,8 @@ from pqsec_pki.lifecycle import ParticipantSpec
 from pqsec_pki.server.token_lines import TokenState
 
 MOST_OF_DAY = 24
-"""Certificates that one participant gets by itself, and receipts that it sends: each is a line of
-the ledger, which all read."""
+"""Certificates that one participant can get without a token, and receipts that it can send: each is
+a line of the ledger."""
 _DAY, _HOUR = timedelta(days=1), 3600
 
 
@@ -41,7 +41,7 @@ class Admitted:
 
 @dataclass(frozen=True, slots=True)
 class Requester:
-    """Who asks: the holder of a token or of a participant's certificate, or nobody known."""
+    """The requester: the holder of a token or of a participant's certificate, or unknown."""
 
     name: str
     """Of the participant; empty for a token."""
@@ -68,7 +68,7 @@ class Requester:
 
 
 def refuse_many(what: str, lines: Iterable[Entry], now: datetime) -> None:
-    """NotAdmittedError if these lines of the ledger have as many of the last day as are allowed."""
+    """NotAdmittedError if MOST_OF_DAY of these lines of the ledger are of the last day."""
     if sum(now - each.made_at < _DAY for each in lines) >= MOST_OF_DAY:
         words = f"there were {MOST_OF_DAY} {what} within a day: ask again later"
         raise NotAdmittedError(429, words, retry_after=_HOUR)

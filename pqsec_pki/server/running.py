@@ -51,7 +51,7 @@ def run_signer(
 ) -> None:
     """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`.
 
-    systemd is told that the service is ready when the front listens, too.
+    It reports to systemd that the service is ready when the front listens too.
     """
     keystore = Keystore.open(settings.keystore, to_change=True)
     authorities, ledger = unlock(keystore), SeenLedger()
@@ -91,9 +91,9 @@ def run_signer(
 
 
 def stay() -> None:
-    """Prepare this process to run for long: what is dropped leaves the memory, and never by a file.
+    """Prepare this process to run for long: it frees memory, and writes no core file.
 
-    A core file would have its keys.
+    A core file would contain its keys.
     """
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     gc.freeze()  # imported modules are never freed
@@ -170,9 +170,9 @@ def _give_up(*_: object) -> None:
 
 
 def _notices(settings: ServerSettings) -> socket.socket:
-    """Where the front tells that it listens, as systemd would be told.
+    """The socket at which the front reports that it listens, as it would to systemd.
 
-    In the state folder: an abstract socket has no permissions, and who fills it stops the front.
+    It is in the state folder: an abstract socket has no permissions, so any process could fill it.
     """
     made = owned(socket.SOCK_DGRAM, settings.notices, settings.front_user)
     made.settimeout(0)

@@ -45,7 +45,7 @@ class SignerProcess:
     """Who may connect."""
     log: Log
     pass_on: Callable[[], None]
-    """Tells the front to read the configuration again too."""
+    """Lets the front read the configuration again too."""
     front_listens: Callable[[], bool]
     """Whether the front has its sockets; asked until it has."""
     handler: CallHandler = field(init=False)
@@ -154,7 +154,7 @@ class SignerProcess:
         return answers
 
     def _call(self, link: socket.socket) -> SignerCall | None:
-        """What is asked there; None, and the connection is closed, if nobody may ask that."""
+        """The call on the connection; None, and the connection is closed, if it is not allowed."""
         try:
             if _user(link) not in self.users:
                 raise MalformedError("another user may not ask the signer")

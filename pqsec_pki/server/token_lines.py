@@ -1,6 +1,6 @@
 """Enrolment tokens in the ledger: a line when one is made, for each use, and at its end.
 
-The ledger has the SHA-256 of the secret, which is random: nobody finds the secret by trying.
+The ledger has the SHA-256 of the secret, which is random and cannot be guessed.
 """
 
 import hashlib

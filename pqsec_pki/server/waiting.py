@@ -1,8 +1,8 @@
 """Requests that wait until somebody decides.
 
-Anybody can send one, so their number is limited, also for each name. Who sends most gives up some,
-so a stranger keeps no robot out. They are in a folder of the signer, or, for several servers, in
-the database that has their ledger.
+Any client can send one, so their number is limited, also for each name. Beyond a limit, the address
+with most loses its oldest, so an attacker cannot exclude robots. They are in a folder of the
+signer, or, for several servers, in the database that has their ledger.
 """
 
 import json

@@ -18,7 +18,7 @@ from pqsec_pki.server.waiting import WaitingRequest
 _LONGEST = 8192
 """Octets of the first line."""
 _REMEMBERED = 2048
-"""Requests that are not read again: for each new one all are looked at."""
+"""Requests that are remembered: for each new one the server looks at all."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class RequestFolder:
 
 
 def _read(path: Path) -> WaitingRequest | None:
-    """What waits there; None if it does no more."""
+    """The request there; None if it was removed."""
     with located(path):
         try:
             with disk_errors(path):

@@ -20,10 +20,10 @@ JUSTIFIED = {
     "to admit it again, issue it with --force --after-revocation": IF_WANTED,
     "to admit it again: `pqsec issue` with --force --after-revocation": IF_WANTED,
     "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
-    "Delete its enclave. To allow it again, run `pqsec issue` with --force"
-    " --after-revocation.": IF_WANTED,
     "remove it from the file, or run `pqsec issue {} --validity {} --force --after-revocation`, and"
     " apply it again": IF_WANTED,
+    "Delete its enclave. To allow it again, run `pqsec issue` with --force"
+    " --after-revocation.": IF_WANTED,
     "issue it again: pqsec issue --force, with its topics or a --policy": SAYS_WHAT,
     "issue it again: `pqsec issue` with --force and all its topics; with --csr if its key is on"
     " the robot": SAYS_WHAT,
@@ -52,7 +52,7 @@ JUSTIFIED = {
     "an order enrols new names only; `pqsec issue --csr --force` replaces certificate and"
     " permissions": SAYS_WHAT,
     "enrol into another --dir; --force replaces what is installed here": SAYS_WHAT,
-    "it is never answered: `pqsec enrol --force` makes a new one, with the same options": (
+    "make a new request: `pqsec enrol --force`, with the same options": (
         "the server has refused what would be lost"
     ),
     "--force, --after-revocation and --reuse-compromised-key are for other requests": (

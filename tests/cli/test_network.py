@@ -178,7 +178,7 @@ def test_a_server_is_known_by_a_ca_file(pqsec, keystore, tmp_path):
 MEANINGLESS = {
     "enrol": "no server is named",
     "enrol https://a": "no participant is named",
-    "enrol https://a --name /x": "nothing says which server is trusted",
+    "enrol https://a --name /x": "no server is trusted: no pin and no CA is given",
     "enrol http://a --name /x": "not the URL of a server",
     "enrol https://a --name /x --server-pin zz": "is not a SHA-256 in hex",
     f"enrol https://a --name /x --server-pin {'0' * 64} --factory-cert k/pqsec.json": "need each",

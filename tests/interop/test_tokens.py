@@ -233,7 +233,7 @@ def test_a_key_that_is_not_the_certificates_is_refused(token):
 def test_new_keys_follow_into_the_token_or_the_command_refuses(token):
     created(token)
     said = token.pqsec("ca", "rotate", "--apply", "--yes", exit_code=2)
-    assert "the new keys would lie in files" in said
+    assert "the new keys would be in files" in said
     second = ("--identity-key-uri", f"{IDENTITY}-2", "--permissions-key-uri", f"{PERMISSIONS}-2")
     token.pqsec("ca", "rotate", "--apply", "--yes", *second, "--destroy-old-keys")
     assert token.objects().count("Private Key Object") == 4, "the old keys stay in the token"

@@ -122,7 +122,7 @@ def test_a_new_key_follows_into_the_token_or_the_command_refuses(ca):
     issued(ca)
     installed(ca, "--trust-first")
     said = requested(ca, exit_code=2)
-    assert "its new one would lie in a file" in said
+    assert "the new key would be in a file" in said
     assert not (ca.folder / CSR).exists()
 
     first = (in_use(ca) / "cert.pem").read_bytes()
@@ -242,6 +242,6 @@ def test_renewing_keeps_the_key_in_the_token(ca):
 def test_a_participants_new_key_lies_in_a_file_only_if_it_is_said(ca):
     certified(ca, "robot", *IN_TOKEN)
     said = certified(ca, "robot", "--force", exit_code=2)
-    assert "key.pem of /robot is in a token, and its new one would lie in a file" in said
+    assert "key.pem of /robot is in a token, and the new key would be in a file" in said
     certified(ca, "robot", "--force", "--participant-key-uri", "file")
     assert "BEGIN PRIVATE KEY" in (ca.folder / "k/enclaves/robot/key.pem").read_text()

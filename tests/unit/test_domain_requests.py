@@ -280,7 +280,7 @@ def test_another_request_is_how_a_robot_gets_another_key(fleet):
     fleet.ask("/r1")
     assert fleet.blocked() == {"/r1": "is not changed: its request is for another key"}
     assert [each.way_out for each in fleet.plan().blocked] == [
-        "if it is really the robot that asks: --new-keys"
+        "if the request is really from the robot, use --new-keys"
     ]
     before = keys_in(fleet)
     fleet.apply()

@@ -110,7 +110,7 @@ def test_a_redirect_is_not_followed(server, status):
     replies(
         server, headers=[f"Location: {server.url}/elsewhere", "Content-Length: 0"], status=status
     )
-    with pytest.raises(PqsecError, match="no redirect is followed"):
+    with pytest.raises(PqsecError, match="redirects are not followed"):
         asking(server).post(PATH, b"secret", "x/y")
     assert [path for _, path in server.seen] == [PATH]
 

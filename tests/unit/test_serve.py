@@ -155,7 +155,7 @@ def test_nobody_else_gets_a_certificate(server, tmp_path, what):
 
 def test_a_token_for_nobody_is_told_and_no_option_is_named_that_there_is_not(server):
     create = ("enrolment-token", "create", "/fleet/nobody", "--config", "serve.yaml", "-o", "n")
-    assert "domain.yaml names no /fleet/nobody" in server.cli(*create).stderr
+    assert "domain.yaml does not name /fleet/nobody" in server.cli(*create).stderr
     refused = server.cli(*create, check=False)
     assert (refused.returncode, "--force" in refused.stderr) == (3, False)
 
@@ -280,7 +280,7 @@ def test_a_robot_that_was_approved_too_late_is_told_how_to_ask_again(asking, tmp
     assert asking.ask(Robot(asking, tmp_path / "b", "/other").request, token=token).status == 200
     late = asking.cli(*line, "--wait", "1m", check=False)
     assert (late.returncode, "got a certificate since the request" in late.stderr) == (1, True)
-    assert "`pqsec enrol --force` makes a new one" in late.stderr
+    assert "make a new request: `pqsec enrol --force`" in late.stderr
     assert asking.cli(*line, "--force", check=False).returncode == 3
     decided(asking, "approve", waiting_request(asking))
     assert "/other  has a new certificate" in asking.cli(*line, "--wait", "1m").stdout

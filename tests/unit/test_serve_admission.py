@@ -272,6 +272,6 @@ def test_where_a_plan_issues_an_order_is_needed_for_the_next_certificate_too(des
     desk.change("role: robot, request: requests/}", "role: robot, order: orders/}")
     new, shown = asked("/r1", "second"), desk.certificate()
     desk.demand_approvals()
-    words = "/r1 is enrolled by a registration authority's order, and none has this request"
+    words = "/r1 is enrolled by a registration authority's order, and no order has this request"
     assert desk.ask(new, shown, renew_any_time=True) == (403, words)
     assert desk.waiting.all() == []

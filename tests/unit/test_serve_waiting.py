@@ -132,7 +132,7 @@ def test_an_approval_that_nobody_uses_ends(tmp_path):
     assert ask(made, 60) == (200, "")
     decide(office.keystore, settings, [newer.fingerprint], APPROVAL, now=NOW + 60 * DAY)
     assert ask(newer, 60) == (200, "")
-    assert ask(made, 60) == (409, "this request was answered, and another since")
+    assert ask(made, 60) == (409, "this request was answered, and a later one too")
 
 
 def test_eight_digits_of_a_digest_name_nothing(asked, requests):
