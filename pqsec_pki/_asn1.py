@@ -240,7 +240,7 @@ class _Root:
 
 
 def _sequence(kind: Any) -> Any:
-    """`asn1.sequence`, later."""
+    """`asn1.sequence`, but applied when `__asn1_root__` is first read."""
 
     def init(self: object, **values: object) -> None:
         if values.keys() != kind.__annotations__.keys():

@@ -24,7 +24,7 @@ _READ = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
 _OF_PLAIN = {"__dict__", "__weakref__"}
 """What a class with slots does not have."""
 _FEW = 50
-"""Values of a class, for which compiling `__init__` takes longer than it saves."""
+"""Up to this number of values, compiling `__init__` takes longer than it saves."""
 
 
 def _dataclass(
@@ -98,7 +98,7 @@ def _slots(base: _Kind) -> tuple[str, ...]:
 
 
 def _set_defaults(kind: _Kind, defaults: dict[str, Any]) -> None:
-    """Leave of each `field(...)` its default, as an attribute of the class."""
+    """Replace each `field(...)` of the class by its default, or remove it."""
     for name, value in defaults.items():
         if isinstance(value, dataclasses.Field):
             if value.default is _MISSING:
@@ -108,7 +108,7 @@ def _set_defaults(kind: _Kind, defaults: dict[str, Any]) -> None:
 
 
 class _Later:
-    """An attribute of a class that `make` puts in the place of this."""
+    """An attribute of a class that `make` replaces when it is first read."""
 
     def __init__(self, name: str, make: Callable[[], None]) -> None:
         self._name, self._make = name, make
@@ -145,20 +145,20 @@ def _field(name: str, type_: Any, value: Any, *, kw_only: bool) -> Any:
 
 
 def _first_init(kind: _Kind, *, frozen: bool) -> Callable[..., None]:
-    """An `__init__` for the first values, which a compiled one replaces after them."""
+    """An `__init__` for the first values; a compiled one replaces it later."""
     made = 0
 
     def first(self: Any, *args: Any, **values: Any) -> None:
         nonlocal made
         made += 1
-        if made > _FEW or not _is_filled(self, kind, args, values):
+        if made > _FEW or not _fill(self, kind, args, values):
             kind.__init__ = _init(kind, frozen=frozen)
             kind.__init__(self, *args, **values)
 
     return first
 
 
-def _is_filled(value: Any, kind: _Kind, args: tuple[Any, ...], given: dict[str, Any]) -> bool:
+def _fill(value: Any, kind: _Kind, args: tuple[Any, ...], given: dict[str, Any]) -> bool:
     """Set the fields of a new value; False for arguments that its `__init__` refuses."""
     places = kind.__match_args__
     if len(args) > len(places) or not given.keys().isdisjoint(places[: len(args)]):

@@ -56,7 +56,7 @@ def user(number: int) -> str:
 
 
 def operator() -> str:
-    """Who runs this process, for records that stay: PQSEC_OPERATOR, else the user's name.
+    """The operator of this process, for permanent records: PQSEC_OPERATOR, else the user's name.
 
     UsageError for a value that is too long or not printable.
     """

@@ -11,7 +11,7 @@ from pqsec_pki.access._checks import met
 from pqsec_pki.access._criteria import named_partitions
 from pqsec_pki.access._domains import domains_said, stretches
 from pqsec_pki.access._endpoints import Sets, sets_to_try
-from pqsec_pki.access._topics import Universe
+from pqsec_pki.access._topics import SampleNames
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import EvaluationContext
 from pqsec_pki.access.interpretations import SPEC
@@ -58,25 +58,25 @@ class Whole:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class World:
+class Dimensions:
     """The topics, domains, partitions and tags that some grants distinguish."""
 
-    topics: Universe
+    topics: SampleNames
     domains: tuple[DomainRange, ...]
-    partitions: Universe
+    partitions: SampleNames
     partition_sets: Sets[str]
     tag_sets: Sets[_Tag]
 
     @classmethod
-    def of(cls, grants: Iterable[Grant]) -> "World":
+    def of(cls, grants: Iterable[Grant]) -> "Dimensions":
         """Those that these grants distinguish."""
         grants = tuple(grants)
         rules = [rule for grant in grants for rule in grant.rules]
         criteria = list(_criteria(rules))
         named = (name for each in criteria for name in each.partitions)
-        partitions = Universe(named, "partition", also=_DEFAULT)
+        partitions = SampleNames(named, "partition", also=_DEFAULT)
         return cls(
-            topics=Universe(topic for each in criteria for topic in each.topics),
+            topics=SampleNames(topic for each in criteria for topic in each.topics),
             domains=stretches(rule.domains for rule in rules),
             partitions=partitions,
             partition_sets=_partition_sets(partitions, grants),
@@ -179,7 +179,7 @@ def _criteria(rules: Iterable[PermissionRule]) -> Iterator[Criteria]:
         yield from (*rule.publish, *rule.subscribe, *rule.relay)
 
 
-def _partition_sets(partitions: Universe, grants: tuple[Grant, ...]) -> Sets[str]:
+def _partition_sets(partitions: SampleNames, grants: tuple[Grant, ...]) -> Sets[str]:
     """Those of the criteria; allow_rules without partitions are for the default partition."""
     allowed = [
         partitions.covered_by(each.partitions or _DEFAULT) for each in _of_rules(grants, allow=True)

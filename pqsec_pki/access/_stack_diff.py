@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from itertools import islice, product
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.access._rights import World
+from pqsec_pki.access._rights import Dimensions
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC
@@ -32,11 +32,11 @@ class StackChange:
     """The new answer."""
 
 
-def stack_changes(old: Grant, new: Grant, world: World) -> Iterator[StackChange]:
+def stack_changes(old: Grant, new: Grant, dimensions: Dimensions) -> Iterator[StackChange]:
     """For each stack the first question that it now allows, and the first that it now denies."""
     rules = len(old.rules) + len(new.rules) + 1
     questions = list(
-        islice(_questions(new.subject_name, world), min(MOST_ASKED, MOST_WORK // rules))
+        islice(_questions(new.subject_name, dimensions), min(MOST_ASKED, MOST_WORK // rules))
     )
     alike = [
         each for each, (before, after) in _answers(old, new, questions, SPEC) if before == after
@@ -61,14 +61,14 @@ def _answers(
         yield question, (before.decide(question).allowed, after.decide(question).allowed)
 
 
-def _questions(subject: str, world: World) -> Iterator[Question]:
+def _questions(subject: str, dimensions: Dimensions) -> Iterator[Question]:
     join = Question(subject=subject, domain=0, action=Action.JOIN, now=_THEN)
-    domains = [each.first for each in world.domains if each.first <= MAX_DOMAIN]
+    domains = [each.first for each in dimensions.domains if each.first <= MAX_DOMAIN]
     yield from (replace(join, domain=domain) for domain in domains)
-    names = [name for name in world.topics.names if len(name) <= MAX_NAME]
+    names = [name for name in dimensions.topics.names if len(name) <= MAX_NAME]
     actions = (Action.PUBLISH, Action.SUBSCRIBE)
     for partitions, domain, topic, action in product(
-        world.partition_sets.tried, domains, names, actions
+        dimensions.partition_sets.tried, domains, names, actions
     ):
         if all(len(name) <= MAX_NAME for name in partitions):
             yield replace(join, domain=domain, action=action, topic=topic, partitions=partitions)

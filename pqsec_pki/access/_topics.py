@@ -54,7 +54,7 @@ class Topics:
         return f"{self.what} '{name}'" if name else f"the default {self.what}"
 
 
-class Universe:
+class SampleNames:
     """Names of topics (or of `what`): one for each set of patterns that can cover a name.
 
     If it is not `complete`, some topic may be covered by a set of patterns for which there is

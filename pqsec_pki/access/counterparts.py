@@ -1,4 +1,5 @@
-"""Rights without a counterpart: what is published and nobody may subscribe to, or the reverse.
+"""Rights without a counterpart: topics that are published without a permitted subscriber, or the
+reverse.
 
 Only what is certain is reported: deny_rules are ignored, and two patterns that begin alike count
 as overlapping. What ROS 2 gives every node, used or not, is left out.
@@ -136,7 +137,8 @@ def _everything(
 
 
 def _is_routine(topic: str) -> bool:
-    """Whether it is no news that a topic has no counterpart, or another topic says it."""
+    """Whether a missing counterpart is usual for this topic, or another topic of its service shows
+    it."""
     if topic.startswith("rr/") or is_wildcard(topic):
         return True
     if "/_action/" in topic:
@@ -173,7 +175,7 @@ class _Sides:
         return (topic for topic in self._of[action] if not SPECIAL.search(topic))
 
     def alone(self, right: CriteriaRight) -> Iterator[str]:
-        """Its topics of which no right is the other side, without routine."""
+        """Its topics for which no right is the other side, without those of `_is_routine`."""
         own, other = self._number(right), _OTHER[right.action]
         for topic in right.topics:
             if not _is_routine(topic) and not self._is_used(own, other, topic):
@@ -182,7 +184,7 @@ class _Sides:
                     yield topic
 
     def used(self, right: CriteriaRight, topics: Iterable[str]) -> Iterator[str]:
-        """Those of the topics of which a right is the other side, by domain and partition."""
+        """The topics for which a right is the other side, by domain and partition."""
         own, other = self._number(right), _OTHER[right.action]
         return (topic for topic in topics if self._is_used(own, other, topic))
 

@@ -12,9 +12,9 @@ from functools import lru_cache
 from itertools import product
 
 from pqsec_pki._times import exact
-from pqsec_pki.access._rights import Rights, Whole, World, wholes
+from pqsec_pki.access._rights import Dimensions, Rights, Whole, wholes
 from pqsec_pki.access._stack_diff import StackChange, stack_changes
-from pqsec_pki.access._topics import Topics, Universe
+from pqsec_pki.access._topics import SampleNames, Topics
 from pqsec_pki.access.change import Change, Difference, Sense
 from pqsec_pki.access.question import Action
 from pqsec_pki.documents import Grant, Permissions, parse_subject
@@ -97,30 +97,32 @@ def _grants_diff(old: Grant | None, new: Grant | None) -> Difference:
     changes = [*_spelling_changes(old, new), *_validity_changes(old, new)] if old and new else []
     if old and new and (old.rules, old.default) == (new.rules, new.default):
         return Difference(tuple(changes), complete=True)
-    world = World.of(grants)
-    before, after = world.rights(old), world.rights(new)
+    dimensions = Dimensions.of(grants)
+    before, after = dimensions.rights(old), dimensions.rights(new)
     subject = grants[-1].subject_name
     for sense, less, more in ((Sense.GRANTED, before, after), (Sense.TAKEN, after, before)):
-        changes += (_change(subject, sense, world, each) for each in wholes(_beyond(less, more)))
+        changes += (
+            _change(subject, sense, dimensions, each) for each in wholes(_beyond(less, more))
+        )
     if old and new:
         for action in dict.fromkeys(action for change in changes for action in change.actions):
-            if action is not Action.JOIN and world.topics.complete:
-                changes += _reshaped(old, new, action, world.topics)
-        changes += map(_of_stack, stack_changes(old, new, world))
-    return Difference(tuple(changes), complete=world.complete)
+            if action is not Action.JOIN and dimensions.topics.complete:
+                changes += _reshaped(old, new, action, dimensions.topics)
+        changes += map(_of_stack, stack_changes(old, new, dimensions))
+    return Difference(tuple(changes), complete=dimensions.complete)
 
 
 def _beyond(less: Rights, more: Rights) -> Rights:
     return {right: names - less.get(right, frozenset()) for right, names in more.items()}
 
 
-def _change(subject: str, sense: Sense, world: World, whole: Whole) -> Change:
+def _change(subject: str, sense: Sense, dimensions: Dimensions, whole: Whole) -> Change:
     topics: tuple[Topics, ...] = ()
     what = " and ".join(whole.actions)
     if whole.actions != (Action.JOIN,):
-        topics = world.topics.described(whole.names)
+        topics = dimensions.topics.described(whole.names)
         what += f" {'; '.join(map(str, topics))}"
-    where = world.where(whole)
+    where = dimensions.where(whole)
     return Change(
         sense=sense,
         subject=subject,
@@ -173,7 +175,7 @@ def _validity_changes(old: Grant, new: Grant) -> Iterator[Change]:
             )
 
 
-def _reshaped(old: Grant, new: Grant, action: Action, topics: Universe) -> Iterator[Change]:
+def _reshaped(old: Grant, new: Grant, action: Action, topics: SampleNames) -> Iterator[Change]:
     """Patterns of allow_rules that replace wider or narrower ones."""
     before, after = _patterns(old, action), _patterns(new, action)
     removed, added = sorted(before - after), sorted(after - before)

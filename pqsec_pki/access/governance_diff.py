@@ -5,7 +5,7 @@ from typing import Any, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._domains import domains_said, stretches
-from pqsec_pki.access._topics import Universe
+from pqsec_pki.access._topics import SampleNames
 from pqsec_pki.access.change import Change, Difference, Sense
 from pqsec_pki.documents import (
     DomainRange,
@@ -86,7 +86,7 @@ _Found: TypeAlias = dict[tuple[Sense, str], dict[Any, list[DomainRange]]]
 def governance_diff(old: Governance, new: Governance) -> Difference:
     """The changes of protection for every domain and topic."""
     rules = (*old.domain_rules, *new.domain_rules)
-    topics = Universe(
+    topics = SampleNames(
         topic_rule.topic_expression for rule in rules for topic_rule in rule.topic_rules
     )
     found: _Found = {}
@@ -100,7 +100,9 @@ def governance_diff(old: Governance, new: Governance) -> Difference:
 _Item: TypeAlias = tuple[Sense, str, frozenset[str]]
 
 
-def _changes(old: DomainRule | None, new: DomainRule | None, topics: Universe) -> Iterator[_Item]:
+def _changes(
+    old: DomainRule | None, new: DomainRule | None, topics: SampleNames
+) -> Iterator[_Item]:
     """(sense, text, topics) of each change; no topics if the domain itself changes."""
     nothing = frozenset[str]()
     if old and new:
@@ -114,7 +116,7 @@ def _changes(old: DomainRule | None, new: DomainRule | None, topics: Universe) -
         yield Sense.TAKEN, "no longer governed: no participant can join", nothing
 
 
-def _topic_changes(old: DomainRule, new: DomainRule, topics: Universe) -> Iterator[_Item]:
+def _topic_changes(old: DomainRule, new: DomainRule, topics: SampleNames) -> Iterator[_Item]:
     found: dict[tuple[Sense, str], set[str]] = {}
     before, after = _governing(old, topics), _governing(new, topics)
     for name in topics.names:
@@ -143,7 +145,7 @@ def _compared(
             yield sense, f"{aspect.about}: {after}, before: {before}"
 
 
-def _governing(domain: DomainRule, topics: Universe) -> dict[str, TopicRule]:
+def _governing(domain: DomainRule, topics: SampleNames) -> dict[str, TopicRule]:
     """For each name the first rule that covers it, if there is one."""
     found: dict[str, TopicRule] = {}
     left = set(topics.names)
@@ -154,7 +156,7 @@ def _governing(domain: DomainRule, topics: Universe) -> dict[str, TopicRule]:
     return found
 
 
-def _as_changes(found: _Found, topics: Universe) -> Iterator[Change]:
+def _as_changes(found: _Found, topics: SampleNames) -> Iterator[Change]:
     for (sense, text), places in found.items():
         for names, domains in places.items():
             where = domains_said(domains)

@@ -99,7 +99,7 @@ def samples(
 
 @dataclass(frozen=True, slots=True)
 class TopicUsers:
-    """Who may use each topic on a domain: only topics that anybody may use."""
+    """The participants that may use each topic on a domain, without topics that no one may use."""
 
     publishers: dict[str, list[str]]
     subscribers: dict[str, list[str]]

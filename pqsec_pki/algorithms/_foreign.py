@@ -47,7 +47,7 @@ def _faults(
     if row.name != entry.name.lower():
         yield f"its row has the name {row.name!r}"
     if row.name.startswith(_PREFIX):
-        yield f"no name begins with {_PREFIX!r}, which is taken off before a row is looked for"
+        yield f"its name begins with {_PREFIX!r}, which pqsec removes before it looks for a name"
     yield from _out_of_range(row, row_type)
     for other in known:
         names = {row.name, *row.aliases} & {other.name, *other.aliases}

@@ -80,10 +80,10 @@ class SignaturePair(SignatureAlgorithm):
         return plain.raw
 
     def load_raw_public(self, data: bytes) -> Any:
-        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
+        raise ValueError(f"a pair of keys has no encoding: {len(data)} bytes")
 
     def load_raw_private(self, data: bytes) -> Any:
-        raise ValueError(f"a pair has no encoding, so not of {len(data)} bytes")
+        raise ValueError(f"a pair of keys has no encoding: {len(data)} bytes")
 
     def sign(self, handle: Any, data: bytes) -> bytes:
         plain: PrivateKey

@@ -92,7 +92,7 @@ def decrypt(der: bytes, passphrase: bytes) -> bytes:
     prf = _HMAC_SHA1 if derivation.prf is None else derivation.prf.algorithm.dotted_string
     if prf not in _PRFS or not 1 <= derivation.iteration_count <= MAX_ITERATIONS:
         raise MalformedError(
-            "the private key's encryption has a senseless parameter", hint=_OTHERWISE
+            "the private key's encryption has an invalid parameter", hint=_OTHERWISE
         )
     key = _derive(passphrase, derivation.salt, derivation.iteration_count, prf, key_size)
     try:

@@ -84,7 +84,7 @@ def blocks(data: bytes, what: str) -> list[re.Match[bytes]]:
     if marks != len(_MARKS) * len(found):
         raise MalformedError(
             f"{what}: broken PEM, in which other readers could find something else",
-            hint="every BEGIN and END stands on a line of its own, with nothing but base64 between",
+            hint="write each BEGIN and END on its own line, and only base64 between them",
         )
     if found and b"\0" in data:
         raise MalformedError(f"{what}: a NUL in PEM")

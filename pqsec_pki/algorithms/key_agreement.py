@@ -77,7 +77,7 @@ _X25519 = X25519(
         oid="1.3.101.110", family="ECDH", curve="other/Curve25519", classical_level=128
     ),
     standard="RFC 7748",
-    runs_in="nowhere alone: half of a hybrid",
+    runs_in="no stack alone: half of a hybrid",
     public_size=32,
     ciphertext_size=32,
     secret_size=32,

@@ -117,7 +117,7 @@ class Profile:
             chosen = profile_named(str(names["profile"]))
             return chosen.changed({key: names[key] for key in _CHOICES})
         except (KeyError, TypeError, AttributeError, UsageError) as error:
-            raise MalformedError(f"not a profile that was written down here: {error}") from None
+            raise MalformedError(f"not a profile that pqsec wrote: {error}") from None
 
 
 _CHOICES = (
@@ -183,7 +183,7 @@ _QUANTUM_SAFE = Promise(
     lambda p: Family.CLASSICAL not in _families(p),
 )
 _ALL_HYBRID = Promise(
-    "every signature and key agreement holds while either half does",
+    "every signature and key agreement is secure while either half is",
     lambda p: _families(p) == {Family.HYBRID},
 )
 _CNSA2 = Promise(

@@ -25,7 +25,7 @@ MAX_KEY = 16 << 10
 
 @dataclass(frozen=True, slots=True)
 class SealingPublicKey:
-    """Whom to seal for: an ML-KEM-768 key and an X25519 key."""
+    """The recipient of a sealed bundle: an ML-KEM-768 key and an X25519 key."""
 
     raw: bytes = field(repr=False)
     """Both, ML-KEM first: 1216 bytes."""
@@ -33,7 +33,7 @@ class SealingPublicKey:
 
     @classmethod
     def from_raw(cls, raw: bytes) -> Self:
-        """The inverse of `raw`; MalformedError if it is no such key."""
+        """The inverse of `raw`; MalformedError if it is not such a key."""
         if len(raw) != _MLKEM_PUBLIC + _X25519:
             raise MalformedError(f"not a public key to seal for: {len(raw)} bytes")
         try:

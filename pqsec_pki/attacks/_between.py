@@ -111,7 +111,7 @@ ATTACKS = (
     Attack(
         name="insider-in-the-middle",
         attacker=Attacker.INSIDER,
-        title="stands between two peers of its own, so that those two share a key without knowing",
+        title="makes two peers share a key, while each of them authenticates the attacker",
         refused_at=("message",),
         checks=(Code.C26,),
         also=(Code.NOT_SIGNED,),

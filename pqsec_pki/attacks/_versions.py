@@ -40,7 +40,7 @@ _CONVERSIONS: Mapping[str, tuple[WireVersion, Mapping[str, WireVersion]]] = {
 
 
 def convert(context: AttackContext) -> Iterator[Attempt]:
-    """Both sides accept both versions, so that only the signatures and the states can tell."""
+    """Both sides accept both versions, so only signatures and states can detect a change."""
     for what, (sent, messages) in _CONVERSIONS.items():
         other = _FIRST if sent is _SECOND else _SECOND
         yield _in_versions(context, sent, other).between(what, _converting(messages))

@@ -1,4 +1,4 @@
-"""The table of all attacks; each row stands beside the function that carries it out.
+"""The table of all attacks; each row is beside the function that carries it out.
 
 For `pqsec verify-handshake --attack`: a row says what is done to the handshake of two
 participants, and which step has to refuse it.

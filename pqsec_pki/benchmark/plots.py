@@ -18,7 +18,7 @@ Row = Mapping[str, Any]
 Case = tuple[str, ...]
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-"""Those of Okabe and Ito, which the colour-blind can tell apart."""
+"""Those of Okabe and Ito, which colour-blind people can distinguish."""
 _STYLES = ("-", "--", ":", "-.")
 _COLUMNS = 3
 _SIDES, _MESSAGES = ("initiator", "responder"), ("request", "reply", "final")

@@ -204,7 +204,7 @@ def _attribute_values(attributes: list[Attribute]) -> dict[str, bytes]:
         if oid not in _ALL:
             continue
         if oid in found or len(values) != 1:
-            raise MalformedError(f"attribute {oid} does not stand there exactly once")
+            raise MalformedError(f"attribute {oid} is missing or repeated")
         found[oid] = encode(values[0])
     return found
 

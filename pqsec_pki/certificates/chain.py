@@ -95,7 +95,9 @@ def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem
     if not authority.is_self_issued:
         yield Problem(f"{who} is not self-signed", Code.NOT_SELF_SIGNED)
     elif not authority.signed(authority):
-        yield _signature_problem(authority, who, f"the signature of {who} is not its own")
+        yield _signature_problem(
+            authority, who, f"the signature of {who} was not made with its own key"
+        )
 
 
 def _signature_problem(certificate: Certificate, who: object, otherwise: str) -> Problem:

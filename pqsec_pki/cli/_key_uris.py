@@ -116,7 +116,8 @@ def participants_own(profile: "Profile", uris: Uris) -> Iterator[dict[str, "Priv
 
 
 def note_participant(profile: "Profile", uris: Uris, generated: Collection[str]) -> None:
-    """As `note_places`; also that the alternative key is in a file, if nobody named its place."""
+    """As `note_places`; also that the alternative key is in a file, if no option names its
+    place."""
     from pqsec_pki.credentials import ALT_KEY, KEY  # noqa: PLC0415 -- not for --help
 
     note_places(uris, generated)

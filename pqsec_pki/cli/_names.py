@@ -30,7 +30,7 @@ def named(
 def admitted(
     keystore: Keystore, names: Sequence[str], known: Sequence[str] | None = None
 ) -> list[str]:
-    """The names, each once; for a pattern or group the participants that it stands for.
+    """The names, each once; for a pattern or group the participants that it matches.
 
     Those are participants of the keystore, or of `known`. It leaves revoked participants out, and
     a note says so. KeystoreError if no other is left.

@@ -1,4 +1,5 @@
-"""Options that enrol and renew share: the server, whom to trust, and what became of a robot."""
+"""Options that enrol and renew share: the server, and the trusted CAs; and the report of each
+robot."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

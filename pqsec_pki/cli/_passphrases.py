@@ -21,7 +21,8 @@ MAX_FILE = 4096
 """Bytes."""
 SHORTEST, FEWEST = 15, 5
 """Octets of a passphrase that protects CA keys alone (NIST SP 800-63B-4, 3.1.1.2), and how many of
-them must differ. Whoever gets the encrypted keys can try passphrases as fast as machines allow."""
+them must differ. An attacker with the encrypted keys can try passphrases as fast as machines
+allow."""
 _WEAK = "pqsec.weak_passphrase"
 
 

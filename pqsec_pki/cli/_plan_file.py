@@ -28,7 +28,7 @@ def command_of(file: Path, *, is_chosen: bool) -> list[str] | None:
     if file.suffix != PROPOSAL_SUFFIX:
         return None
     if is_chosen:
-        raise UsageError("--prune, --new-keys and --only are for a domain file: a plan says all")
+        raise UsageError("--prune, --new-keys and --only are for a domain file, not for a plan")
     return command_in(read_proposal(file)[0])
 
 

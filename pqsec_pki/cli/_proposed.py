@@ -121,7 +121,7 @@ def _paths(value: object) -> Iterable[Path]:
 
 
 def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterator[ChangedRights]:
-    """What people should see besides the words: whom they revoke, which keys they certify."""
+    """What people should see in addition to the command: revoked participants, certified keys."""
     now = _settings.now()
     yield from _members([*params.get("names", ()), *params.get("subjects", ())], keystore)
     match name:

@@ -16,7 +16,7 @@ def agent() -> None:
     """Control the agent, which holds the keys for the plugin.
 
     One agent serves all participants of a user. The first participant that uses the plugin
-    starts it. It stays for the next ones, until it is stopped or pqsec is installed anew.
+    starts it. It keeps running until it is stopped or pqsec is installed again.
     """
 
 

@@ -63,8 +63,8 @@ def approve(  # noqa: PLR0913 -- one for each option, by name
     """Approve a plan that somebody proposed with `pqsec plan -o` or `pqsec propose`.
 
     Shows what the plan would change, and signs exactly that: these changes, this domain file and
-    this state of the keystore. No keystore is needed. Send the file that it writes to whoever
-    applies the plan.
+    this state of the keystore. No keystore is needed. Send the file that it writes to the person
+    who applies the plan.
     """
     proposal, _ = read_proposal(plan)
     now = _settings.now()
@@ -73,7 +73,7 @@ def approve(  # noqa: PLR0913 -- one for each option, by name
     signer = _approver.key_at(key, key_passphrase_file)
     name = _approver.name_in(proposal.policy, signer)
     if name == proposal.proposer:
-        raise VerificationError(f"{name} made this plan, and approved it thereby")
+        raise VerificationError(f"{name} proposed this plan, which counts as an approval")
     goal = output or approval_path(plan, name)
     if not force:
         _files.refuse_existing(goal)

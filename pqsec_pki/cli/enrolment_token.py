@@ -85,8 +85,8 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     """Create a token, with which a robot enrols.
 
     NAME is a participant of the domain file, or a pattern such as '/fleet/*'. The token is a
-    secret: who has it can enrol as NAME until it is used up, ends or is revoked. It also has
-    what the robot needs to trust the server and the CAs.
+    secret: its holder can enrol as NAME until it is used up, ends or is revoked. It also has what
+    the robot needs to trust the server and the CAs.
     """
     settings, now = read_settings(file), _settings.now()
     refuse_existing(goal, replaceable=False)
@@ -104,7 +104,9 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     record_token(keystore, token, uses=uses, replaces=replaces, now=now)
     write(goal, token.to_bytes(), private=True)
     if not any(matching(each, known) for each in name.split()):
-        _printing.note(f"{settings.domain} names no {shown(name)}: until it does, nobody can enrol")
+        _printing.note(
+            f"the token admits no participant: {settings.domain} does not name {shown(name)}"
+        )
     line = f"{token.id}  {name}  until {said(token.not_after)}  {goal}"
     value = {"id": token.id, "names": name, "uses": uses, "file": goal}
     _printing.emit({**value, "not_after": token.not_after}, [line])

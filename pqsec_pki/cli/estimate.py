@@ -187,7 +187,7 @@ def _fleet(
     sizes = tuple(sizes_in(keystore, version))
     if len(sizes) < 2:  # noqa: PLR2004 -- one meets nobody
         raise UsageError(
-            f"the keystore has {_printing.counted(len(sizes), 'participant')}, who meet nobody",
+            f"the keystore has {_printing.counted(len(sizes), 'participant')}, not two",
             hint="name a number: --participants",
         )
     return keystore.profile.name, sizes

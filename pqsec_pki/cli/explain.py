@@ -159,14 +159,14 @@ def _of_one(asked: dict[str, Any], answer: Answering, now: datetime) -> int:
 
 
 def _participants(given: str | None) -> list[str | None]:
-    """The participants that it stands for; one None if files are named instead."""
+    """The participants that the name or pattern matches; one None if files are named instead."""
     if given is None or not is_several(given):
         return [given]
     return list(named(_settings.open_keystore(), [given]))
 
 
 def _of_several(names: Sequence[str | None], answer: Answering, now: datetime) -> int:
-    """Print the answer for each; 0 if all may. Who has documents that are not valid may not."""
+    """Print the answer for each; 0 if all may. A participant with invalid documents may not."""
     keystore = _settings.open_keystore()
     values, lines, all_may = list[dict[str, object]](), list[str](), True
     for name in filter(None, names):

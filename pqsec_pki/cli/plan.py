@@ -26,7 +26,7 @@ from pqsec_pki.keystore import Keystore, SigningCa
 
 DEFAULT_FILE = Path("domain.yaml")
 PROPOSAL_SUFFIX = ".json"
-"""Tells proposals from domain files."""
+"""Distinguishes proposals from domain files."""
 
 file_argument = click.argument("file", type=_settings.FILE, default=DEFAULT_FILE, metavar="[FILE]")
 prune_option = click.option(
@@ -40,7 +40,7 @@ new_keys_option = click.option(
 only_option = click.option(
     "--only",
     type=click.Choice([each.label for each in SigningCa]),
-    help="Only what needs the keys of this CA: on each machine, if each CA has one of its own.",
+    help="Select only changes that need the keys of this CA, if each CA has its own machine.",
 )
 
 
@@ -135,7 +135,7 @@ def plan(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 def _refuse_options(output: Path | None, key: str | None, *, init: bool, force: bool) -> None:
     if (output is None) is not (key is None) or (init and output):
         raise UsageError(
-            "-o and --key belong together, without --init",
+            "-o and --key need each other, and exclude --init",
             hint="-o plan.json --key KEY writes a proposal that this key signs",
         )
     if output:
@@ -146,7 +146,8 @@ def refuse_output(output: Path, *, force: bool) -> None:
     """UsageError for a file that `pqsec apply` would not take as a plan; ExistsError."""
     if output.suffix != PROPOSAL_SUFFIX:
         raise UsageError(
-            f"{output} must end in {PROPOSAL_SUFFIX}", hint="`pqsec apply` knows plans by that"
+            f"{output} must end in {PROPOSAL_SUFFIX}",
+            hint="`pqsec apply` knows a plan by it",
         )
     if not force:
         _files.refuse_existing(output)
@@ -201,8 +202,8 @@ def note_left(found: Plan) -> None:
     if found.left:
         words = sorted({step.action.words for step in found.left})
         _printing.note(
-            f"left for where the keys of the other CA are: {len(found.left)}"
-            f" ({', '.join(words)}); carry the keystore there"
+            f"not selected, since they need the keys of the other CA: {len(found.left)}"
+            f" ({', '.join(words)}); copy the keystore to the machine with those keys"
         )
 
 

@@ -73,10 +73,10 @@ def request(  # noqa: PLR0913 -- one for each option, by name
     """Generate keys and certificate requests on the robot.
 
     The keys stay in DIR, or in the places of the --...-uri options: a key that is there is used,
-    another one is generated there. Copy each request.csr that is printed, or the FILE with all
-    of them, to the machine with the CAs, for `pqsec issue --csr` or `pqsec sign-request export`.
-    The profile must be the same as the keystore's. A pattern such as '/tb3/*' stands for the
-    participants that were requested or installed in DIR before: with --force they get new keys.
+    another one is generated there. Copy each request.csr that is printed, or the FILE with all of
+    them, to the machine with the CAs, for `pqsec issue --csr` or `pqsec sign-request export`. The
+    profile must be the same as the keystore's. A pattern such as '/tb3/*' matches the participants
+    that were requested or installed in DIR before: with --force they get new keys.
     """
     if csr and not force:
         _files.refuse_existing(csr)

@@ -47,11 +47,11 @@ def requests() -> None:
 def list_(file: Path, form: str) -> None:
     """List the requests that wait, oldest first, and those that were approved.
 
-    A request ends 30 days after its robot sent it last; an approval 30 days after it was given, if
-    the robot did not fetch its certificate.
+    A request ends 30 days after its robot last sent it. An approval ends after 30 days if the robot
+    did not fetch its certificate.
 
     Compare the SHA-256 with what the robot shows (`pqsec enrol`, or `pqsec inspect request.csr`):
-    anybody can send a request, for any name. REPLACES is `its key` if the participant has a
+    any client can send a request for any name. REPLACES is `its key` if the participant has a
     certificate for another key, which an approval replaces.
     """
     _formats.chosen(form)
@@ -101,7 +101,7 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
         "Refuse a request": "pqsec requests refuse 0123456789abcdef --config serve.yaml",
     },
     exit_codes={
-        0: "refused for ever: the robot must make a new request",
+        0: "refused: the server never answers this request; a new one may follow",
         1: "the configuration is not valid",
         3: "the keystore cannot be changed",
     },
@@ -112,8 +112,8 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
 def refuse(ids: tuple[str, ...], file: Path) -> None:
     """Refuse requests, which are removed; the ledger gets the decision.
 
-    A robot that enrols asks again with `pqsec enrol --force`; one that renews, the next time that
-    `pqsec renew --from` runs. `pqsec revoke` ends that.
+    On the robot, `pqsec enrol --force` sends a new request, and so does the next `pqsec renew
+    --from`. To end renewals, revoke the participant.
     """
     _decide(ids, file, REFUSAL)
 

@@ -100,7 +100,7 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     authority, whose grant has the rights, and is performed without a question.
     """
     if (grant is None) is not (key is None) or (role and not grant):
-        raise UsageError("--grant and --key belong together, and --role to them")
+        raise UsageError("--grant and --key need each other, and --role needs both")
     found = _bundles.load_requests(requests)
     names = []
     for path, request in found:

@@ -1,4 +1,4 @@
-"""pqsec uninstall: what of pqsec is where on this machine."""
+"""pqsec uninstall: what pqsec has on this machine."""
 
 import os
 from contextlib import suppress

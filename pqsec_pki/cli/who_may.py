@@ -239,7 +239,7 @@ def _chosen(fleet: Fleet, names: tuple[str, ...]) -> list[str]:
 
 
 def _show_matrix(form: str, found: WhoMay, chosen: list[str]) -> None:
-    """Print who can send what to whom, to or from the chosen ones if there are any."""
+    """Print what each participant can send and to which, for the chosen ones if there are any."""
     wanted = set(chosen)
     shown = [
         each

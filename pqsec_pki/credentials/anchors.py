@@ -132,7 +132,7 @@ class TrustAnchors:
         found = self._problems_at.get(now)
         if found is None:
             found = (*self._role_problems, *self._authority_problems(now))
-            self._problems_at.clear()  # one time is asked about, for all participants
+            self._problems_at.clear()  # all participants are checked for one time
             self._problems_at[now] = found
         return found
 
@@ -162,7 +162,7 @@ class TrustAnchors:
         """
         yield from self.identity_problems(certificate, now)
         if self.issuer_of(certificate) is not self.identity_ca:
-            words = "the first CA in it did not issue the certificate, but one behind it"
+            words = "the first CA in it did not issue the certificate: a later one did"
             yield Problem(words, Code.WRONG_ISSUER, IDENTITY_CA)
 
     def issuer_of(self, certificate: Certificate) -> Certificate:

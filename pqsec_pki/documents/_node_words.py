@@ -21,7 +21,8 @@ _NAMES = {
     "publish": _TOPIC,
     "subscribe": _TOPIC,
 }
-"""Key -> pattern of a topic that tells its name. Keys with many topics come before their parts."""
+"""Key -> pattern of a topic that contains its name. Keys with many topics come before their
+parts."""
 
 
 _Right = tuple[str, str]

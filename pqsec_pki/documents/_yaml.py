@@ -121,17 +121,17 @@ def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:
 
 def _tree(events: Iterable["yaml.Event"]) -> Item:
     """The document's tree, built without recursion, so that depth cannot exhaust Python's stack."""
-    grower = _Grower()
+    builder = _TreeBuilder()
     for event in events:
         kind = type(event).__name__
-        if action := getattr(grower, f"on_{kind}", None):
+        if action := getattr(builder, f"on_{kind}", None):
             action(event, event.start_mark.line + 1 if event.start_mark else 1)
-    if grower.root is None:
+    if builder.root is None:
         raise refused(1, "is empty")
-    return grower.root
+    return builder.root
 
 
-class _Grower:
+class _TreeBuilder:
     """Builds a tree from YAML's events; each event has a method with its name."""
 
     def __init__(self) -> None:

@@ -48,7 +48,7 @@ def extensions_fact(label: str, extensions: x509.Extensions) -> Fact:
     """All extensions as a fact, with the meaning of each known one."""
     found = [(_name(each), _words(each), each) for each in extensions]
     value: tuple[Value, ...] = tuple(
-        {"oid": each.oid.dotted_string, "name": name, "critical": each.critical, "says": words}
+        {"oid": each.oid.dotted_string, "name": name, "critical": each.critical, "text": words}
         for name, words, each in found
     )
     lines = [f"{name}: {words}" if words else name for name, words, _ in found]

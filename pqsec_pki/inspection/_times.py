@@ -43,7 +43,7 @@ def window_value(not_before: datetime, not_after: datetime, now: datetime) -> di
         "not_before": not_before.isoformat(),
         "not_after": not_after.isoformat(),
         "valid_now": not_before <= now <= not_after,
-        "standing": standing(not_before, not_after, now),
+        "state": standing(not_before, not_after, now),
     }
 
 

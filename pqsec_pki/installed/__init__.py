@@ -1,4 +1,4 @@
-"""What of pqsec is where on this machine, and how each is removed. Nothing here removes it.
+"""What pqsec has on this machine, where it is, and how it is removed. Nothing here removes it.
 
 program     the program, its commands, manual pages and completion
 data        what it made: plugin, agent, units, caches, credentials, keystores

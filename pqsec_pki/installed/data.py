@@ -37,10 +37,10 @@ def made_here(environment: Mapping[str, str], plugin: Path) -> Iterator[Place]:
 
 
 def kept_in(folders: Iterable[Path]) -> tuple[list[Place], list[FileError]]:
-    """The keystores and robots' credentials that are `folders`, or in them; and what of the
-    latter cannot be looked into.
+    """The keystores and robots' credentials that are `folders`, or in them; and errors for folders
+    in them that cannot be read.
 
-    FileError for one of `folders` that cannot.
+    FileError if one of `folders` cannot be read.
     """
     named = dict.fromkeys(each.absolute() for each in folders)
     below: set[Path] = set()

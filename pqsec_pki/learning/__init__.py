@@ -9,8 +9,8 @@
     comparing       the differences to the permissions in a keystore
     learned         all of these as one value
 
-What was seen is not proof of what is needed, and whoever is in an unsecured domain can pretend
-to be any participant: a proposal is for people to review.
+What was seen is not proof of what is needed, and an attacker in an unsecured domain can pretend to
+be any participant: people must review a proposal.
 """
 
 from typing import TYPE_CHECKING

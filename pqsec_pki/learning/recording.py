@@ -126,7 +126,7 @@ def _left_out(participant: SeenParticipant) -> tuple[str, str] | None:
     """What the participant is called, and why nothing can be proposed for it."""
     name, label = participant.name, participant.label
     if not name:
-        # Whoever is on the network chooses its label, and people paste this into a shell.
+        # Any participant chooses its own label, and people paste this into a shell.
         way = f": name it with --name {shlex.quote(f'{label}=/NAME')}" if label else ""
         return label or "a participant", f"it has no enclave and no ROS 2 node{way}"
     if name.rpartition("/")[2].startswith("_"):

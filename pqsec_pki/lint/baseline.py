@@ -1,7 +1,7 @@
 """Findings that were there before: what `pqsec check --json` printed, set aside in a later check.
 
 A finding is the same if its rule, file and words are; its line may differ, since lines move. Each
-entry stands for one finding, so a second one like it is new. What cannot be read is never old.
+entry is for one finding, so a second equal one is new. What cannot be read is never old.
 """
 
 import json

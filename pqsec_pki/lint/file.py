@@ -165,7 +165,7 @@ class SmimeFile(File):
 
 
 class KeyOrListFile(File):
-    """A file with a private key or a revocation list, of which most files have neither."""
+    """A file with a private key or a revocation list; most files have neither."""
 
 
 class SmimeKeyOrListFile(SmimeFile, KeyOrListFile):
@@ -173,7 +173,8 @@ class SmimeKeyOrListFile(SmimeFile, KeyOrListFile):
 
 
 def file_with(data: bytes, path: Path, mode: int, now: datetime) -> File:
-    """The file with that content, of the subclass for it: rules about others need not run."""
+    """The file with that content, as an instance of its subclass: rules about other subclasses do
+    not run."""
     made = (SmimeFile if is_signed(data) else File)(path, data, mode, now)
     if made.is_private_key or made.is_revocation_list:
         kind = SmimeKeyOrListFile if made.is_signed else KeyOrListFile

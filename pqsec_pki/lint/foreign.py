@@ -54,5 +54,5 @@ def _guarded(package: str, wrapped: Rule, subject: Any) -> Iterable[Violation]:
     with blamed(f"rule {wrapped.id} of the package {package} failed", PqsecError):
         found: list[Any] = list(wrapped.check(subject))
         wrong = (each for each in found if not isinstance(each, Violation))
-        _refuse(next((f"a {type(each).__name__} is no Violation" for each in wrong), None))
+        _refuse(next((f"a {type(each).__name__} is not a Violation" for each in wrong), None))
     return found

@@ -86,7 +86,7 @@ def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
 
 
 def broken_digests(file: File) -> tuple[str, ...]:
-    """The broken digests that it is signed with: a second document can have the same."""
+    """The broken digests of its signatures: a second document can have the same digest."""
     used = (each.digest for each in file.signers)
     return tuple(BROKEN_DIGESTS[each] for each in used if each in BROKEN_DIGESTS)
 

@@ -1,6 +1,6 @@
 """Removes a folder whatever the modes of its folders are; as a program, when its stdin ends.
 
-It imports only the standard library: `_throwaway` runs this file.
+It imports only the standard library: `_temporary_folder` runs this file.
 """
 
 import shutil

@@ -12,7 +12,7 @@ from pqsec_pki.migration import _remover
 
 
 @contextmanager
-def throwaway_folder() -> Iterator[Path]:
+def temporary_folder() -> Iterator[Path]:
     """A new folder for its owner alone, removed at the end; FileError if that fails.
 
     A second process waits at a pipe that ends with this one, and removes the folder: a `kill -9`

@@ -7,7 +7,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, Profile, profile_named
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Rollover, RolloverPlan, plan_rollover
-from pqsec_pki.migration._throwaway import throwaway_folder
+from pqsec_pki.migration._temporary_folder import temporary_folder
 from pqsec_pki.migration.generations import SAMPLES, Generation, generations, sample
 from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.steps import MigrationPlan, MigrationStep, StackNeeds
@@ -38,7 +38,7 @@ def plan_migration(
     """
     path = path_of(keystore.profile, target)
     steps: list[MigrationStep] = []
-    with throwaway_folder() as folder:
+    with temporary_folder() as folder:
         first = sample(folder / "generation0", keystore.profile, now)
         made = tuple(generations(first, path, folder, now))
         finder = _StepFinder(stacks, now, has_plugin=keystore.profile.runs_in_stock is False)

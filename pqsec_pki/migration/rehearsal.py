@@ -10,7 +10,7 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.credentials import ENCLAVES, KEY
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.migration._throwaway import throwaway_folder
+from pqsec_pki.migration._temporary_folder import temporary_folder
 from pqsec_pki.migration.generations import Generation, generations
 from pqsec_pki.migration.meetings import Side, failure
 from pqsec_pki.migration.planning import path_of
@@ -71,7 +71,7 @@ def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal
     chosen = tuple(names[:: -(-len(names) // SAMPLE)])
     path = path_of(keystore.profile, target)
     steps = []
-    with throwaway_folder() as folder:
+    with temporary_folder() as folder:
         for old, new in pairwise(generations(keystore, path, folder, now)):
             steps.append(_rehearsed(old, new, chosen, now))
     return Rehearsal(participants=len(names), sample=chosen, steps=tuple(steps))

@@ -53,7 +53,7 @@ class Fleet:
     keystore: Keystore | None = field(default=None, repr=False)
 
     def named(self, names: Iterable[str]) -> list[str]:
-        """The names, each once; for a pattern or a group the members that it stands for.
+        """The names, each once; for a pattern or a group the members that it matches.
 
         Files have no groups. Errors as of `Keystore.named`.
         """

@@ -39,7 +39,7 @@ class Use:
     answers: list[DomainsAnswer]
 
     def until(self, policy_input: PolicyInput) -> datetime | None:
-        """When it ends that it is allowed; None if it is not, or nothing ends it."""
+        """The end of the right; None if it is not allowed, or has no end."""
         first = self.answers[0]
         own = policy_input.until(first.question, first.answer.interpretation)
         return own if first.allowed else None

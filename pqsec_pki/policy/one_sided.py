@@ -17,8 +17,8 @@ must not wait for 2,000. `pqsec check` has no limit."""
 def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> Iterator[str]:
     """What is doubtful about the topics of these participants, in words; no signature is checked.
 
-    A doubled slash; and a topic that nobody may use on the other side, while one that is spelled
-    alike has it. Nothing if a document cannot be read.
+    A doubled slash; and a topic without a counterpart, if a topic with a similar spelling has one.
+    Nothing if a document cannot be read.
     """
     try:
         rights, chosen = _rights(keystore, now), set(names)
@@ -27,7 +27,7 @@ def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> 
     own = [each for each in rights if each.owner in chosen]
     topics = (topic for each in own for topic in each.topics)
     for topic in dict.fromkeys(filter(ros.doubled_slash, topics)):
-        yield f"{topic} has //, and no ROS 2 name has"
+        yield f"{topic} has //, which no ROS 2 name may have"
     yield from (str(each) for each in without_counterpart(own, rights) if each.meant)
 
 

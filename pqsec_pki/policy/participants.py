@@ -43,7 +43,7 @@ class PolicyInput:
     """The algorithms of its certificate's keys, such as `ml-dsa-65`."""
 
     def until(self, question: Question, interpretation: Interpretation = SPEC) -> datetime | None:
-        """When its rights end: with its grant, its certificate or a CA. None if they do not end."""
+        """The end of its rights: of its grant, its certificate or a CA. None if they have no end."""
         return end_of_rights(self.permissions.value, question, interpretation, self.not_after)
 
     def place(self, decision: Decision) -> tuple[Path, int] | None:
@@ -64,7 +64,7 @@ def end_of_rights(
     interpretation: Interpretation,
     not_after: datetime | None,
 ) -> datetime | None:
-    """The end of the grant that is for the question's subject, or `not_after` if that is before."""
+    """The end of the grant for the question's subject, or `not_after` if that is earlier."""
     grant = interpretation.grant_for(permissions, question)
     ends = [each for each in (grant.not_after if grant else None, not_after) if each]
     return min(ends, default=None)

@@ -95,7 +95,7 @@ class Flow:
 
 
 def flows(rows: Iterable[Placed]) -> list[Flow]:
-    """Who can send what to whom, by sender.
+    """What each participant can send, and the receivers.
 
     Without the discovery topic of ROS 2, which all nodes share, and without what participants
     send to themselves.

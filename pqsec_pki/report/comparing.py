@@ -24,7 +24,7 @@ class ReportState:
     """What a comparison needs of either report."""
 
     participants: dict[str, str] | None
-    """Name -> serial number and state; None if that report could not tell."""
+    """Name -> serial number and state; None if that report does not have them."""
     rights: frozenset[Right] | None
     """None likewise."""
     topics: frozenset[str]
@@ -213,7 +213,7 @@ def _authorities(now: ReportState, earlier: ReportState) -> Iterator[str]:
 
 
 def _unknown(now: ReportState, earlier: ReportState) -> Iterator[str]:
-    """What one of the reports could not tell."""
+    """What one of the reports does not have."""
     values = {
         "participants": (now.participants, earlier.participants),
         "CAs and revocation list": (now.authorities, earlier.authorities),
@@ -255,7 +255,7 @@ def _less(
 ) -> tuple[Right, ...]:
     """The rights in `these` and not in `those`, whose rules name `topics`.
 
-    A topic that no rule of the other report names is no difference if a pattern there covers it:
+    A topic that no rule of the other report names is not a difference if a pattern there covers it:
     it has no row of its own, but the participant may use it.
     """
     if these is None or those is None:

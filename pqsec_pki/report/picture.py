@@ -1,6 +1,5 @@
-"""Rights at a glance: the matrix, and the picture of participants and topics.
-
-Both leave out what ROS 2 gives every node and nobody else may use; the table of the page has all.
+"""Rights at a glance: the matrix, and the picture of participants and topics. Both leave out what
+ROS 2 gives to every node alone; the table of the page has all.
 """
 
 from collections import defaultdict
@@ -40,7 +39,7 @@ class PictureFlow:
 
     @property
     def folded(self) -> tuple[str, ...]:
-        """The topics that others stand for, so that Find on the page finds them too."""
+        """The topics that a group replaces, so that Find on the page finds them too."""
         several = (each.rows for each in self.topics if len(each.rows) > 1)
         return tuple(row.label for rows in several for row in rows)
 
@@ -61,7 +60,8 @@ Cells = list[list[tuple[str, Holder]]]
 
 
 def is_routine(row: RightsRow) -> bool:
-    """Whether ROS 2 gives the topics to every node, and nobody can command anybody by them."""
+    """Whether ROS 2 gives the topics to every node, and no participant can command another by
+    them."""
     is_discovery = ros.DISCOVERY in row.topics
     alone = not row.publishers or not row.subscribers
     return is_discovery or (alone and all(map(ros.is_of_every_node, row.topics)))

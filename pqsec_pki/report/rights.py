@@ -1,4 +1,5 @@
-"""Who may use which topic, on all domains, as `policy` answers; alike participants as one group."""
+"""Which participants may use each topic, on all domains, as of `policy`; equal participants are one
+group."""
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator

@@ -39,8 +39,8 @@ def refuse_changed(document: bytes, signature: Path) -> Path | None:
     """The path of the report that `document` in the file `signature` is about.
 
     None if `document` is not such a statement; whether it was signed is not checked here.
-    VerificationError if the report was changed, or if `signature` is not named after it: who looks
-    at june.html must not be told that may.html is genuine. MissingError if it is not there.
+    VerificationError if the report was changed, or if `signature` is not named after it: a reader
+    of june.html must not read that may.html is genuine. MissingError if it is not there.
     """
     found = _STATEMENT.fullmatch(document)
     if not found:

@@ -91,7 +91,7 @@ class RightsSection:
     every: tuple[Right, ...]
     """All rights, one by one, for JSON, CSV and comparisons."""
     topics: tuple[str, ...]
-    """All topics and patterns that a rule names, also those that nobody may use."""
+    """All topics and patterns that a rule names, also those that no participant may use."""
     refused: dict[str, str]
     """Participants whose documents are not valid -> why; they have no rights."""
     until: dict[str, datetime]
@@ -230,7 +230,7 @@ class Evidence:
     governance: str
     """SHA-256 of the signed governance, in hex."""
     approvals: str
-    """How many of whom must approve which changes; empty if changes need no approvals."""
+    """How many of which people must approve which changes; empty if changes need no approvals."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -248,7 +248,7 @@ class Report:
     endings: tuple[Ending, ...] | None
     exposures: tuple[Exposure, ...] | None
     migration: MigrationPlan | None
-    """None without a gap if nobody asked for it."""
+    """None without a gap if it was not asked for."""
     findings: FindingsSection | None
     events: tuple[LedgerEvent, ...] | None
     sizes: tuple[HandshakeSize, ...] | None

@@ -129,7 +129,7 @@ def _header(data: bytes, start: int, end: int) -> tuple[int, int | None, int]:
         return tag, None, start
     size = first & 0x7F
     if size > 4 or start + size > end:  # noqa: PLR2004 -- 4 GiB is over every limit here
-        raise MalformedError("a length in the CMS structure is senseless")
+        raise MalformedError("a length in the CMS structure is invalid")
     return tag, int.from_bytes(data[start : start + size], "big"), start + size
 
 

@@ -77,6 +77,6 @@ def _of_openssl(reader: Callable[[bytes], Found], data: bytes) -> Found:
 
 def _difference(own: _mime.SignedMessage, other: _openssl_reader.Parts) -> str:
     if own.boundary != other.boundary:
-        return f"OpenSSL takes {other.boundary[:70]!r} for the boundary, not {own.boundary!r}"
+        return f"OpenSSL reads the boundary {other.boundary[:70]!r}, not {own.boundary!r}"
     part = "text" if own.content != other.content else "signature"
     return f"OpenSSL finds another {part} between the boundary lines"

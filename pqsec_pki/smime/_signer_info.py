@@ -127,7 +127,7 @@ def _attributes(info: SignerInfo) -> dict[str, bytes]:
     for each in info.signed_attributes:
         oid, values = each.type.dotted_string, each.values.as_list()
         if oid in found or len(values) != 1:
-            raise MalformedError(f"signed attribute {oid} does not stand there exactly once")
+            raise MalformedError(f"signed attribute {oid} is missing or repeated")
         found[oid] = encode(values[0])
     if _MESSAGE_DIGEST not in found:
         raise MalformedError("the signature does not name the content's digest")

@@ -24,8 +24,8 @@ from pqsec_pki.smime.signed_file import SignedFile
 MAX_COUNTERSIGNATURES = 16
 """pqsec writes one. Each one takes a verification, and no signature covers their number."""
 MAX_CARRIED = 32 << 10
-"""Bytes of a CMS structure for `joined`, whose input nobody has verified. One with two signatures
-by the largest keys has 10 kB."""
+"""Bytes of a CMS structure for `joined`, whose input is not verified. One with two signatures by
+the largest keys has 10 kB."""
 MAX_CARRIED_VALUES = 512
 """ASN.1 values in it, because each costs about a microsecond. One with two signatures has 80."""
 _CLASSICAL = {Family.CLASSICAL, Family.HYBRID}

@@ -59,8 +59,8 @@ class Login:
     def open(self, *, typed: bool) -> None:
         """Log in. PassphraseError for a wrong PIN, PqsecError if the token is not there.
 
-        A PIN that nobody has just `typed` is not tried after a wrong one, by whatever process:
-        what starts again and again would lock the token.
+        After a wrong PIN, in any process, only a PIN that a user `typed` is tried: a service that
+        restarts would lock the token.
         """
         token = _token(self.uri)
         if not typed and pkcs11.TokenFlag.USER_PIN_COUNT_LOW in token.flags:
@@ -78,7 +78,7 @@ class Login:
                 self.session = token.open(rw=True)
 
     def again(self) -> None:
-        """Log in again in a library that looks at its tokens anew."""
+        """Log in again, in a library that has read its tokens again."""
         library().reinitialize()
         self.open(typed=False)
 

@@ -15,7 +15,7 @@ MAX_FILE = 4096
 
 
 def stored_pin(token: str) -> str:
-    """The PIN in the file that PQSEC_PIN_FILE names, for whoever can ask nobody."""
+    """The PIN in the file that PQSEC_PIN_FILE names, for processes without a terminal."""
     if file := os.environ.get(VARIABLE):
         return pin_in(Path(file))
     raise PassphraseError(

@@ -115,13 +115,13 @@ def _attributes(text: str, separator: str) -> dict[str, bytes]:
 def _refuse_pin_and_module(asked: dict[str, bytes]) -> None:
     if "pin-value" in asked:
         raise UsageError(
-            "a PIN does not belong into a URI, which others can read",
+            "the URI of a key contains a PIN, which others could read",
             hint="use pin-source=file:/path, PQSEC_PIN_FILE, or the prompt",
         )
     if any(each in asked for each in _MODULE):
         raise UsageError(
-            "the URI of a key names the library of its token, which whoever opens the keystore"
-            " would run",
+            "the URI of a key names the library of its token, and everyone who opens the keystore"
+            " would run it",
             hint="name the library in PQSEC_PKCS11_MODULE, or register it with p11-kit",
         )
 

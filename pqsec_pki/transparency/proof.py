@@ -1,7 +1,7 @@
 """A proof that lines are in the ledger of which a head was signed: the file ledger.proof.
 
-It tells of a line its number, kind, name and SHA-256, and the chain value, which commits to the
-rest: who ran the command, and when, stays in the ledger.
+It has the number, kind, name and SHA-256 of a line, and the chain value, which commits to the rest.
+The operator and the time stay in the ledger.
 """
 
 import json

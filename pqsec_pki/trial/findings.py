@@ -6,7 +6,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import shown
 from pqsec_pki.trial.peer import Act, PeerOutcome
 from pqsec_pki.trial.words import words
-from pqsec_pki.vendors import Recognised, Tells, fit_for_a_command, recognise
+from pqsec_pki.vendors import MessageKind, Recognised, fit_for_a_command, recognise
 
 _MOST = 3
 """Messages of one participant; the first ones matter most."""
@@ -56,8 +56,8 @@ def _main_messages(
 ) -> Iterator[tuple[str, str | None, str | None]]:
     lines = words(outcome.log)
     known = recognise("\n".join(lines), stack=stack)
-    causes = [each for each in known if each.message.tells is Tells.CAUSE]
-    symptoms = [each for each in known if each.message.tells is Tells.SYMPTOM]
+    causes = [each for each in known if each.message.kind is MessageKind.CAUSE]
+    symptoms = [each for each in known if each.message.kind is MessageKind.SYMPTOM]
     joined_only = outcome.joined and outcome.refused is not None
     if causes:
         yield from map(_explained, _one_each(causes))

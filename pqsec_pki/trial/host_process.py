@@ -42,7 +42,7 @@ class HostProcess:
         return self.process.stdout.fileno()
 
     def hear(self) -> bool:
-        """Take what it has said; False if it will say no more."""
+        """Read its output; False if the output has ended."""
         heard = os.read(self.output, _LARGEST)
         *lines, self._rest = (self._rest + heard).split(b"\n")
         for line in lines:

@@ -78,7 +78,7 @@ class HostsRun:
 
 
 def run_hosts(setup: HostsSetup) -> HostsRun:
-    """Start all hosts, tell all to join, and wait until all have met; then each sends its samples.
+    """Start all hosts, let all join, and wait until all have met; then each sends its samples.
 
     SegmentError if network namespaces are not permitted. An interruption kills all hosts.
     """
@@ -87,20 +87,20 @@ def run_hosts(setup: HostsSetup) -> HostsRun:
 
 def _run_hosts(setup: HostsSetup, network: Network) -> HostsRun:
     with segment(setup.link) as ethernet, _hosts(setup, ethernet) as hosts:
-        crowd, others = _Crowd(hosts, network), len(hosts) - 1
+        running, others = _RunningHosts(hosts, network), len(hosts) - 1
         ethernet.connect()
         ethernet.counted()  # now the switch runs
-        crowd.until(lambda each: bool(each.times("ready")), _START)
+        running.until(lambda each: bool(each.times("ready")), _START)
         start = time.monotonic()
-        crowd.tell("go")
-        crowd.until(lambda each: len(each.met) >= others, setup.timeout)
+        running.tell("go")
+        running.until(lambda each: len(each.met) >= others, setup.timeout)
         counts = ethernet.counted()
         ends = [each.process.pid for each in hosts]
         measured = [(processor_seconds(each), kernel_counters(each)) for each in ends]
         met = [tuple(when - start for when in each.met) for each in hosts]
         lost = None
         if all(len(each) >= others for each in met):
-            lost = crowd.exchange(setup.samples, _REPAIR + 10 * setup.link.delay)
+            lost = running.exchange(setup.samples, _REPAIR + 10 * setup.link.delay)
         outcomes = [
             HostOutcome(
                 joined=next((when - start for when in host.times("joined")[-1:]), None),
@@ -129,7 +129,7 @@ def _hosts(setup: HostsSetup, ethernet: Segment) -> Iterator[list[HostProcess]]:
         yield hosts
 
 
-class _Crowd:
+class _RunningHosts:
     """All hosts, and what they say."""
 
     def __init__(self, hosts: Sequence[HostProcess], network: Network) -> None:

@@ -54,7 +54,7 @@ class Installation:
 
     @property
     def plugins(self) -> Path | None:
-        """The folder of this library's security plugins, if the stack must be told."""
+        """The folder of this library's security plugins, if the stack needs it."""
         return self.build.plugins(self.root, self.library.path) if self.build.plugins else None
 
     def tool(self, command: Command, folder: str) -> list[str]:

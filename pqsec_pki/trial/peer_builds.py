@@ -36,7 +36,7 @@ class PeerBuild:
     variable: str
     """The environment variable that names the configuration."""
     plugins: Callable[[Path, Path], Path | None] | None = None
-    """Finds a library's security plugins below a root, for a stack that must be told."""
+    """Finds a library's security plugins below a root, for a stack that needs their folder."""
 
     @property
     def tools(self) -> Iterator[str]:

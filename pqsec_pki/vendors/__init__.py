@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from pqsec_pki.vendors.exports import FOLDER, Export, Options, write
     from pqsec_pki.vendors.fastdds_library import FastDds, examine, find_fastdds
     from pqsec_pki.vendors.foreign import foreign_stacks
-    from pqsec_pki.vendors.messages import Recognised, Tells, fit_for_a_command, recognise
+    from pqsec_pki.vendors.messages import MessageKind, Recognised, fit_for_a_command, recognise
     from pqsec_pki.vendors.opendds_adapter import OpenDdsPlugin, install_opendds
     from pqsec_pki.vendors.opendds_library import OpenDds, find_opendds
     from pqsec_pki.vendors.own_plugin import FASTRTPS
@@ -47,12 +47,12 @@ __all__ = [
     "FastDds",
     "InstalledPlugin",
     "Library",
+    "MessageKind",
     "OpenDds",
     "OpenDdsPlugin",
     "Options",
     "Recognised",
     "StackEnclave",
-    "Tells",
     "agree",
     "examine",
     "export",

@@ -26,8 +26,8 @@ def environment(
 ) -> Iterator[Check]:
     """A check of each ROS 2 variable about security, for that participant.
 
-    `keystore` is its absolute path. `plugin`: the fix is an export with pqsec's plugin, because
-    stacks refuse its keys.
+    `keystore` is its absolute path. With `plugin`, the fix is an export with pqsec's plugin,
+    because stacks refuse its keys.
     """
     fix = _FIX.format(participant, " --plugin" if plugin else "")
     for name, exact in SECURED.items():

@@ -24,7 +24,7 @@ _BARE_CODE = re.compile(r"(?:code:? ?)?([0-9]{3})", re.IGNORECASE)
 _FIT_FOR_A_COMMAND = re.compile(r"(?!-)[\w./*?:@%+=,-]{1,200}", re.ASCII)
 
 
-class Tells(StrEnum):
+class MessageKind(StrEnum):
     """What a message shows; the most useful first."""
 
     CAUSE = "cause"
@@ -42,7 +42,7 @@ class Message:
     code: int | None
     texts: tuple[str, ...]
     """{name} replaces words that vary."""
-    tells: Tells
+    kind: MessageKind
     cause: str
     remedy: str
     evidence: str
@@ -140,7 +140,7 @@ def _table() -> tuple[Message, ...]:
             stacks=tuple(map(stack_named, row["stacks"])),
             code=row.get("code"),
             texts=tuple(row.get("texts", ())),
-            tells=Tells(row.get("tells", Tells.CAUSE)),
+            kind=MessageKind(row.get("kind", MessageKind.CAUSE)),
             cause=row["cause"],
             remedy=row["remedy"],
             evidence=row["evidence"],
@@ -160,7 +160,11 @@ def _coded(rows: Iterable[Message], places: "list[_Place]", log: Log) -> Iterato
     by_code = {row.code: row for row in rows if row.code is not None}
     for line, code in log.codes():
         row = by_code.get(code)
-        if row and (line, code) not in known and (row.tells is Tells.CAUSE or line not in lines):
+        if (
+            row
+            and (line, code) not in known
+            and (row.kind is MessageKind.CAUSE or line not in lines)
+        ):
             yield _by_code(row, line)
 
 
@@ -246,5 +250,5 @@ def _counted(found: Iterable[Recognised]) -> tuple[Recognised, ...]:
         )
         for same in kinds.values()
     ]
-    order = list(Tells)
-    return tuple(sorted(firsts, key=lambda each: (order.index(each.message.tells), each.line)))
+    order = list(MessageKind)
+    return tuple(sorted(firsts, key=lambda each: (order.index(each.message.kind), each.line)))

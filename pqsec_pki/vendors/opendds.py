@@ -126,7 +126,8 @@ def _installed(options: Options) -> InstalledOpenDds | None:
 
 
 def _directive(folder: Path) -> str:
-    """What loads the plugin in `folder`; UsageError where ACE cannot be told of it."""
+    """The directive that loads the plugin in `folder`; UsageError if ACE cannot express the
+    folder."""
     path = folder.absolute() / own_plugin.OPENDDS
     if unfit := _UNFIT.search(str(path)):
         raise UsageError(

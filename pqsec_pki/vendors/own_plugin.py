@@ -30,7 +30,7 @@ NOTE = (
     " PQSEC_AGENT=private starts one for this process only"
 )
 WAY_OUT = " Or run pqsec's plugin in it: --plugin."
-"""Added to the fix of a finding that does not matter to our plugin."""
+"""Added to the fix of a finding that only concerns other plugins."""
 _CRL, _PASSWORD = "org.eclipse.cyclonedds.sec.auth.crl", "dds.sec.auth.password"
 _ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
 
@@ -42,7 +42,7 @@ def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
         command = f"pqsec plugin install{stack}"
         raise FileError(
             f"the plugin is not installed: {folder} has no {missing[0]}",
-            hint=f"`{command}` puts it there; --plugins says where else it is",
+            hint=f"`{command}` installs it; --plugins names another folder",
         )
 
 

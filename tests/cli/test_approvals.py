@@ -92,7 +92,7 @@ def test_who_may_not_approve(run):
     propose(run)
     make_key(run.folder, "mallory")
     approve(run, "mallory").refused(1, "this ecdsa-p256 key is of none of the approvers: alice")
-    approve(run, "alice").refused(1, "alice made this plan, and approved it thereby")
+    approve(run, "alice").refused(1, "alice proposed this plan, which counts as an approval")
     run("plan -o other.json --key mallory.pem").refused(1, "of none of the approvers")
     assert not [*run.folder.glob("*.approval")]
     assert not (run.folder / "other.json").exists()
@@ -135,9 +135,9 @@ def test_an_approval_of_an_older_plan_beside_the_new_one_is_named(run):
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("plan -o plan.json", "belong together"),
-        ("plan --key alice.pem", "belong together"),
-        ("plan --init new.yaml -o plan.json --key alice.pem", "belong together"),
+        ("plan -o plan.json", "need each other"),
+        ("plan --key alice.pem", "need each other"),
+        ("plan --init new.yaml -o plan.json --key alice.pem", "exclude --init"),
         ("plan -o plan.txt --key alice.pem", "must end in .json"),
         ("plan -o plan.json --key ''", "the path of the key is empty"),
         ("plan -o plan.json --key nosuch:key", "packages handle keys"),

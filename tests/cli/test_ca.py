@@ -324,7 +324,7 @@ SECOND = "ML-DSA signature"
 NO_SECOND = "no alternative key"
 RECORDED = "recorded traffic"
 QUANTUM = "withstands a quantum computer"
-EITHER = "holds while either half does"
+EITHER = "is secure while either half is"
 CNSA2 = "CNSA 2.0"
 BROKEN = [
     ("transition", "--identity-key ml-dsa-65", STOCK),

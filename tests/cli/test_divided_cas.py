@@ -181,7 +181,7 @@ def apply(pqsec, machine, options="--yes"):
 def test_a_domain_file_is_applied_on_two_machines_with_one_key_each(fleet, pqsec):
     certified = apply(pqsec, IDENTITY).done()
     assert "issue: 2 (/fleet/r1, /fleet/r2)" in certified.out
-    assert "left for where the keys of the other CA are" in certified.err
+    assert "not selected, since they need the keys of the other CA" in certified.err
     assert not (fleet / IDENTITY / "enclaves/fleet/r1/permissions.p7s").exists()
     assert apply(pqsec, IDENTITY, "--check").code == 0
     carried(fleet, IDENTITY, PERMISSIONS)
@@ -229,7 +229,7 @@ def test_one_machine_revokes_whom_the_file_no_longer_names(fleet, pqsec):
 def test_a_part_is_refused_where_it_means_nothing(fleet, pqsec):
     apply(pqsec, IDENTITY, "--yes --bundles b").refused(2, "where the permissions are signed")
     pqsec("-k new apply --only identity --yes").refused(3, "there is no keystore yet")
-    pqsec("-k new apply plan.json --only identity").refused(2, "a plan says all")
+    pqsec("-k new apply plan.json --only identity").refused(2, "for a domain file, not for a plan")
 
 
 def test_people_approve_each_part(fleet, pqsec):

@@ -110,7 +110,7 @@ def test_what_makes_no_fleet_is_refused(pqsec, tmp_path):
         pqsec(line).refused(2, words)
     store = tmp_path / "k"
     pqsec(f"ca init -k {store} --no-passphrase --profile classical").done()
-    pqsec(f"estimate -k {store}").refused(2, "0 participants, who meet nobody")
+    pqsec(f"estimate -k {store}").refused(2, "0 participants, not two")
 
 
 def test_a_participant_with_messages_that_no_peer_reads_is_named(pqsec, tmp_path):

@@ -48,7 +48,7 @@ def test_json_has_all_of_it(pqsec):
     assert value["nearest"] == []
     assert found["stacks"] == ["cyclonedds"]
     assert (found["said"], found["values"]) == ("rt/a denied by default rule", {"topic": "rt/a"})
-    assert (found["line"], found["times"], found["tells"]) == (1, 1, "cause")
+    assert (found["line"], found["times"], found["kind"]) == (1, 1, "cause")
     assert "rt/a" in found["cause"]
     assert "--publish rt/a" in found["remedy"]
     assert found["evidence"].startswith("measured")

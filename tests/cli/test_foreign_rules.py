@@ -76,7 +76,7 @@ def test_a_name_that_begins_no_id_is_refused(run, package, name):
     [
         ("return 1 / 0", "ZeroDivisionError"),
         ("return 5", "TypeError"),
-        ("return [5]", "a int is no Violation"),
+        ("return [5]", "a int is not a Violation"),
     ],
 )
 def test_a_rule_that_fails_does_not_look_like_no_finding(run, package, tmp_path, body, words):

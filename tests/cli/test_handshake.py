@@ -167,7 +167,7 @@ def test_any_key_agreement_can_be_tried(pqsec, keystore, kem):
 @pytest.mark.parametrize(
     ("profile", "kem", "promise"),
     [
-        ("hybrid", "mlkem768", "every signature and key agreement holds while either half does"),
+        ("hybrid", "mlkem768", "every signature and key agreement is secure while either half is"),
         ("pq", "ecdh-p256", "every signature and key agreement withstands a quantum computer"),
         ("cnsa2", "x25519mlkem768", "CNSA 2.0: ML-DSA-87 and ML-KEM-1024 only"),
         ("classical", "mlkem768", "the key agreement is one that stock stacks run"),

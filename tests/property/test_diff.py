@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from pqsec_pki.access import Action, Question, decide
 from pqsec_pki.access._patterns import posix
-from pqsec_pki.access._rights import World
-from pqsec_pki.access._topics import Extent, Universe
+from pqsec_pki.access._rights import Dimensions
+from pqsec_pki.access._topics import Extent, SampleNames
 from pqsec_pki.access._witnesses import is_wildcard, witnesses
 from pqsec_pki.access.diff import permissions_diff
 from pqsec_pki.documents import (
@@ -59,8 +59,8 @@ def test_what_is_said_of_a_pattern_holds_for_every_name(rules, name):
     def allowed(each):
         return next((allow for pattern, allow in rules.items() if covered(pattern, each)), False)
 
-    universe = Universe(rules)
-    told = universe.described(frozenset(filter(allowed, universe.names)))
+    samples = SampleNames(rules)
+    told = samples.described(frozenset(filter(allowed, samples.names)))
     about = [each for each in told if covered(each.name, name)]
     but = any(covered(pattern, name) for each in about for pattern in each.but)
     if any(each.extent in (Extent.ALL, Extent.ONE) for each in about):
@@ -73,14 +73,14 @@ def test_what_is_said_of_a_pattern_holds_for_every_name(rules, name):
 def test_all_topics_at_once_are_decided_as_one_by_one(seed, now):
     [grant, *_] = Maker(seed).permissions(SUBJECT).grants
     grant = in_force(grant)
-    world = World.of([grant])
-    rights = world.rights(grant)
+    dimensions = Dimensions.of([grant])
+    rights = dimensions.rights(grant)
     for action, domain, partitions, tags in product(
-        ACTIONS, world.domains, world.partition_sets.tried[:6], world.tag_sets.tried
+        ACTIONS, dimensions.domains, dimensions.partition_sets.tried[:6], dimensions.tag_sets.tried
     ):
         if any(map(is_wildcard, partitions)):
             continue  # names that no endpoint can ask for: its partitions are expressions
-        for topic in world.topics.names:
+        for topic in dimensions.topics.names:
             allowed = ask(
                 Permissions(grants=(grant,)),
                 now,

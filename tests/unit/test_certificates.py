@@ -373,7 +373,7 @@ def test_an_authority_without_key_usage_may_sign(ca):
 def test_an_altered_authority_is_refused(ca):
     certificate = rebuilt(ca.certificate, serial_number=7)
     assert problems(issue(ca), certificate) == (
-        "the signature of the CA certificate is not its own",
+        "the signature of the CA certificate was not made with its own key",
     )
 
 

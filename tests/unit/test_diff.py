@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 
 from pqsec_pki.access._patterns import posix
-from pqsec_pki.access._topics import Universe
+from pqsec_pki.access._topics import SampleNames
 from pqsec_pki.access._witnesses import sample, witnesses
 from pqsec_pki.access.change import Sense
 from pqsec_pki.access.diff import permissions_diff
@@ -535,6 +535,6 @@ def test_the_names_of_a_pattern_that_literals_use_up_are_the_literals():
 
 
 def test_a_pattern_of_which_something_is_chosen_is_not_told_as_left_out():
-    patterns = Universe(["rt/*", "rt/a*", "rt/ab"])
+    patterns = SampleNames(["rt/*", "rt/a*", "rt/ab"])
     [*_, widest] = patterns.described(patterns.covered["rt/*"] - {"rt/ab"})
     assert (widest.name, widest.but) == ("rt/*", ("rt/ab",))

@@ -61,7 +61,7 @@ def test_what_is_written_is_read_back(token, label, identifier):
         ("pkcs11:token=lab;object=ü", "no valid value"),
         ("pkcs11:token=lab;object=%ff", "not UTF-8"),
         ("pkcs11:token=lab;object=%1b[2J", "unprintable"),
-        (f"{LAB}?pin-value=1234", "a PIN does not belong"),
+        (f"{LAB}?pin-value=1234", "the URI of a key contains a PIN"),
         (f"{LAB}?module-path=/tmp/evil.so", "names the library"),
         (f"{LAB}?module-name=evil", "names the library"),
         (f"{LAB}?pin-source=%7Ccat%20/etc/pin", "not a file's absolute path"),

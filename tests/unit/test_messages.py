@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from pqsec_pki.cli import pqsec
 from pqsec_pki.vendors._log import MAX_VALUE
-from pqsec_pki.vendors.messages import Tells, messages, nearest, recognise
+from pqsec_pki.vendors.messages import MessageKind, messages, nearest, recognise
 
 STACKS = {"cyclonedds", "fastdds", "opendds", "ros2"}
 CYCLONE_CODES = {100, *range(110, 153), 200, 301}
@@ -215,8 +215,8 @@ def test_several_messages_in_a_log_are_recognised_causes_first():
         ),
         ("Found security directory: /ks/enclaves/talker", 9, 1),
     ]
-    assert [each.message.tells for each in found] == sorted(
-        (each.message.tells for each in found), key=list(Tells).index
+    assert [each.message.kind for each in found] == sorted(
+        (each.message.kind for each in found), key=list(MessageKind).index
     )
 
 
@@ -305,6 +305,6 @@ def test_a_signer_that_is_not_found_is_another_ca_before_anything_else():
 @pytest.mark.parametrize("said", ["the handshake is over", "expected a 'y', got a 'x'"])
 def test_late_answers_to_repeated_messages_are_no_cause_for_alarm(said):
     found = recognise(f"Process handshake failed: pqsec: {said}", stack="cyclonedds")
-    assert not any(each.message.tells is Tells.CAUSE for each in found)
+    assert not any(each.message.kind is MessageKind.CAUSE for each in found)
     [known] = [each for each in found if said in each.said]
     assert "repeat" in known.cause

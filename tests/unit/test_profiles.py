@@ -100,8 +100,8 @@ def test_a_change_within_the_promises_is_made(name, key, row):
         ("transition", "permissions_key", "ml-dsa-65", "runs in stock stacks"),
         ("transition", "alternative_key", "ecdsa-p256", "also carries an ML-DSA signature"),
         ("transition", "key_agreement", "ecdh-p256", "recorded traffic"),
-        ("hybrid", "participant_key", "ml-dsa-65", "while either half does"),
-        ("hybrid", "key_agreement", "mlkem768", "while either half does"),
+        ("hybrid", "participant_key", "ml-dsa-65", "while either half is"),
+        ("hybrid", "key_agreement", "mlkem768", "while either half is"),
         ("hybrid", "alternative_key", "ml-dsa-65", "no alternative key"),
         ("pq", "identity_key", "ecdsa-p256", "withstands a quantum computer"),
         ("pq", "key_agreement", "ecdh-p384", "withstands a quantum computer"),
@@ -165,7 +165,7 @@ def test_a_changed_profile_that_was_written_down_is_read_back():
 def test_names_that_nobody_wrote_down_here_are_refused(change):
     names = DEFAULT_PROFILE.to_names()
     change(names)
-    with pytest.raises(MalformedError, match="not a profile that was written down here"):
+    with pytest.raises(MalformedError, match="not a profile that pqsec wrote"):
         Profile.from_names(names)
 
 

@@ -11,7 +11,6 @@ from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-"""X.520, ub-common-name."""
 _CYCLONE, _FAST, _OPENDDS = Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS
 
 _WORDS = frozenset(
