@@ -63,7 +63,8 @@ if not TYPE_CHECKING:
 
 
 def _annotations(plain: _Kind) -> dict[str, Any]:
-    """Of the class itself. From Python 3.14 on they are evaluated when they are asked for."""
+    """The annotations of the class itself. Python 3.14 and later evaluate them when they are
+    read."""
     if sys.version_info >= (3, 14):
         import annotationlib  # noqa: PLC0415 -- not in older Pythons
 

@@ -64,7 +64,7 @@ def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]
     failures = []
     with stage(len(items)), _forks(do, shares[1:]) as forks:
         for share in shares:
-            # The others have as much to do, and tell nothing before they end.
+            # The others have as much to do, and report nothing before they end.
             own = counted(share, len(items), each=count)
             found = _answer(forks[share]) if share in forks else do(own)
             if isinstance(found, _Failure):

@@ -29,7 +29,7 @@ class Stage:
 
 class _Now:
     stage: Stage | None = None
-    """Of the whole process, which has one terminal."""
+    """The stage of the whole process, which has one terminal."""
 
 
 def current() -> Stage | None:

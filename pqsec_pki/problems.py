@@ -64,7 +64,7 @@ class Code(StrEnum):
     LIST_WRONG_ISSUER = "list-wrong-issuer"
     LIST_BAD_SIGNATURE = "list-bad-signature"
 
-    # Who is trusted with what
+    # Trust, and its roles
     ONE_KEY_TWO_ROLES = "one-key-two-roles"
     """The identity CA and the permissions CA have the same key (CVE-2023-24010)."""
     CA_DOUBLED = "ca-doubled"

@@ -44,7 +44,7 @@ class CriteriaRight:
     domains: DomainSet
     partitions: tuple[str, ...] = ()
     line: int | None = None
-    """Of the criteria, in the document."""
+    """The line of the criteria in the document."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +55,7 @@ class TopicRight:
     action: Action
     topic: str
     line: int | None = None
-    """Of its criteria, in the document."""
+    """The line of its criteria in the document."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,7 +155,7 @@ class _Sides:
 
     def __init__(self, rights: Iterable[CriteriaRight]) -> None:
         self._numbers: dict[_Place, int] = {}
-        """Of the places; those of a fleet are few."""
+        """Place -> its number; a fleet has few places."""
         self._places: dict[int, _Place] = {}
         self._meeting: dict[tuple[int, int], bool] = {}
         self._of: dict[Action, dict[str, set[int]]] = {action: {} for action in _EITHER}

@@ -17,7 +17,8 @@ _NAME = re.compile(r"[A-Za-z0-9+_.-]{1,63}")
 _PREFIX = "id-"
 """What a table takes off a name before it looks for a row."""
 _MOST_BYTES = 1 << 24
-"""Of a key, ciphertext or signature; the largest published keys (Classic McEliece) have 1.3 MB."""
+"""Octets of a key, ciphertext or signature; the largest published keys (Classic McEliece) have 1.3
+MB."""
 _TOP_LEVEL = 5
 """NIST's highest security category."""
 

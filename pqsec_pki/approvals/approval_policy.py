@@ -15,7 +15,7 @@ from pqsec_pki.errors import KeystoreError, UsageError, shown
 
 MAX_APPROVERS = 100
 NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.@+-]{0,63}")
-"""Of a person or an authority; also a part of a file's name."""
+"""The name of a person or an authority; also a part of a file's name."""
 
 
 class Covered(StrEnum):

@@ -18,7 +18,7 @@ _GOVERNOR = Path("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor")
 
 @dataclass(frozen=True, slots=True)
 class Environment:
-    """Of this process, at `time`."""
+    """The environment of this process, at `time`."""
 
     time: datetime
     pqsec: str

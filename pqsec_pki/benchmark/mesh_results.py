@@ -42,7 +42,7 @@ class MeshCase:
     hosts: int
     link: Link
     wire_version: WireVersion | None
-    """Of the messages between pqsec's plugins; None with other plugins."""
+    """The version of the messages between pqsec's plugins; None with other plugins."""
 
     @property
     def credentials(self) -> HostCredentials:

@@ -46,7 +46,7 @@ _UNSECURED = """<dds><profiles>
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshPlan:
-    """What is to be measured."""
+    """The measurements to make."""
 
     installation: Installation
     cases: Sequence[MeshCase]

@@ -36,7 +36,7 @@ class Timing:
 
     wall: int
     cpu: int
-    """Of the thread's processor time."""
+    """Processor time of the thread."""
 
 
 @dataclass(frozen=True, slots=True)

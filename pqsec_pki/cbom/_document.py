@@ -21,7 +21,7 @@ _SUBJECT = "subject"
 _AT_ONCE = 100
 """Components in one call of the library, whose time grows with the square of their number."""
 _PREFIX = "pqsec:"
-"""Of the names of properties that CycloneDX does not define."""
+"""The prefix of properties that CycloneDX does not define."""
 
 
 def written(assets: Assets, subject: str, timestamp: datetime | None) -> str:

@@ -19,7 +19,7 @@ from pqsec_pki.errors import PqsecError
 
 AUTHENTICATION, PROTECTION = "DDS:Auth:PKI-DH", "DDS:Crypto:AES-GCM-GMAC"
 VERSION = "1.0"
-"""Of both plugins, in DDS-Security 1.1 (clauses 9.3 and 9.5)."""
+"""The version of both plugins in DDS-Security 1.1 (clauses 9.3 and 9.5)."""
 _GMAC, _GCM = "AES256-GMAC", "AES256-GCM"
 _CIPHERS = {
     ProtectionKind.SIGN: _GMAC,
@@ -28,7 +28,7 @@ _CIPHERS = {
     ProtectionKind.ENCRYPT_WITH_ORIGIN_AUTHENTICATION: _GCM,
 }
 _DERIVATION = ("HMAC-SHA256", "SHA-256")
-"""Of session keys from the shared secret."""
+"""The functions that derive session keys from the shared secret."""
 Suite = tuple[SignatureAlgorithm, KeyAgreement]
 
 

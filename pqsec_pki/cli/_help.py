@@ -8,7 +8,7 @@ import click
 USAGE = "wrong command line"
 """The meaning of exit code 2, which every command has."""
 HELP_OPTIONS = ["-h", "--help"]
-"""Also for who looks at a command alone: click keeps the option of the first who asks."""
+"""Also for code that inspects a single command: click keeps the option that is made first."""
 
 
 class Command(click.Command):

@@ -176,7 +176,7 @@ def asked(what: str, *, twice: bool = False) -> bytes:
 
 def note_open(path: Path) -> None:
     """Say so if others can read a secret file."""
-    with suppress(OSError):  # whoever reads it raises the error
+    with suppress(OSError):  # reading it raises the error
         if stat.S_ISREG(mode := path.stat().st_mode) and mode & 0o077:
             _printing.note(f"{path} can be read by others: chmod 600 it")
 

@@ -21,7 +21,8 @@ from pqsec_pki.cli._times import for_programs, local
 from pqsec_pki.errors import FileError, shown
 
 JSON_VERSION = 1
-"""Of what commands print with --json: a key that goes or changes its meaning makes it one more."""
+"""The version of the JSON that commands print: removing a key, or changing its meaning, increases
+it."""
 _GAP = "  "
 _NARROWEST = 16
 """Columns: a table is not wrapped into less."""

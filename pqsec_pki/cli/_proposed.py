@@ -179,7 +179,7 @@ def _of_roles(desired: Desired, labels: tuple[str, ...]) -> Iterator[ChangedRigh
 
 
 def _members(names: Iterable[str], keystore: Keystore) -> Iterator[ChangedRights]:
-    """Of each group: groups change without a line in the ledger."""
+    """The members of each group: groups change without a line in the ledger."""
     for name in names:
         if name.startswith(GROUP):
             yield ChangedRights(tuple(keystore.named([name])), (f"members of {shown(name)}",))

@@ -159,7 +159,7 @@ def _refuse_keys(seal_for: Path | None, *, named: bool, plain_key: bool, no_keys
 
 
 def _outdated(keystore: Keystore, names: Sequence[str]) -> list[str]:
-    """Of these participants, or all, those whose robots do not run what they should."""
+    """The participants of these, or of all, whose robots do not run what they should."""
     standing = status(keystore, named(keystore, names) if names else None, now=_settings.now())
     participants = sorted(standing.participants, key=lambda each: each.name)
     robots = robot_states(keystore, participants)

@@ -100,7 +100,7 @@ def create(  # noqa: PLR0913 -- one for each option, by name
         profile=keystore.profile.name,
         not_after=now + (validity or settings.token_validity),
     )
-    # The ledger first: a token that is only in the file would admit nobody.
+    # The ledger first: a token that is only in the file would not be valid.
     record_token(keystore, token, uses=uses, replaces=replaces, now=now)
     write(goal, token.to_bytes(), private=True)
     if not any(matching(each, known) for each in name.split()):

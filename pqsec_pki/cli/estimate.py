@@ -185,7 +185,7 @@ def _fleet(
         )
     _refuse_second(keystore.profile, version)
     sizes = tuple(sizes_in(keystore, version))
-    if len(sizes) < 2:  # noqa: PLR2004 -- one meets nobody
+    if len(sizes) < 2:  # noqa: PLR2004 -- one has no peer
         raise UsageError(
             f"the keystore has {_printing.counted(len(sizes), 'participant')}, not two",
             hint="name a number: --participants",

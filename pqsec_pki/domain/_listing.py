@@ -20,7 +20,7 @@ from pqsec_pki.keystore import regular_name
 from pqsec_pki.problems import Problem
 
 MAX_PARTICIPANTS = 100_000
-"""Of one domain; a mistake in a pattern soon exceeds it."""
+"""Participants of one domain; a mistake in a pattern soon exceeds it."""
 MAX_PROBLEMS = 20
 """Shown of one list; the others are mostly similar."""
 MAX_BRACES = 16

@@ -28,7 +28,7 @@ class FoundParticipant:
     rules: tuple[PermissionRule, ...]
     default: DefaultAction
     validity: timedelta
-    """Of its certificate, or of its permissions in a policy."""
+    """The validity of its certificate, or of its permissions in a policy."""
     source: str
     key_elsewhere: bool = False
     """Whether its key is on its robot."""

@@ -113,7 +113,7 @@ class Desired:
 
     path: Path
     name: str
-    """Of the CAs; empty if the file has no name."""
+    """The name of the CAs; empty if the file has none."""
     profile: str | None
     """None for the keystore's profile, or the default for a new keystore."""
     domains: DomainSet
@@ -136,7 +136,7 @@ class Desired:
     approvals: ApprovalPolicy | None
     """Whose approvals changes need; None if they need none."""
     sha256: str
-    """Of the domain file itself."""
+    """SHA-256 of the domain file itself."""
 
     @cached_property
     def governance_digest(self) -> str:

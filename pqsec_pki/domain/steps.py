@@ -53,7 +53,7 @@ class Step:
 
     action: StepAction
     name: str
-    """Of the participant; empty if the step is not for one participant."""
+    """The participant's name; empty if the step is not for one participant."""
     why: str
     keys: str = field(default="", compare=False)
     """Hashes of the keys in its request, as in the ledger."""

@@ -17,7 +17,7 @@ from pqsec_pki.tokens import Pin
 
 @dataclass(frozen=True, slots=True)
 class NextSet:
-    """What is to be installed, and what is installed before."""
+    """What will be installed, and what is installed before."""
 
     before: InstalledSet | None
     enclaves: dict[str, dict[str, bytes]]

@@ -89,7 +89,7 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
 def key_places(
     profile: Profile, uris: Mapping[str, str]
 ) -> dict[str, tuple[str, SignatureAlgorithm]]:
-    """What `participant_keys` takes, without what shall be IN_FILE.
+    """The URIs for `participant_keys`, without those that are IN_FILE.
 
     UsageError for a key that participants of the profile do not have.
     """
@@ -161,7 +161,7 @@ def make_sealing_key(root: Path, *, force: bool = False) -> tuple[Path, str]:
     with changing(root):
         if not force:
             refuse_existing(root / SEALING_KEY)
-        # The public half first: as long as there is no private key, a second run repairs it.
+        # The public half first: while there is no private key, a second run repairs it.
         write(root / SEALING_PUBLIC_KEY, key.public_key.pem, force=True)
         write(root / SEALING_KEY, key.pem, private=True, force=force)
     return root / SEALING_PUBLIC_KEY, fingerprint(key.public_key)

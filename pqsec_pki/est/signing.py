@@ -21,7 +21,7 @@ from pqsec_pki.est.linking import channel_binding
 from pqsec_pki.tokens import Pin, key_in, stored_pin
 
 SCHEME, CERTIFICATE_HEADER = "PQSEC", "PQSEC-Certificate"
-"""Of the header Authorization; and the header with the certificate, in DER and base64."""
+"""The scheme of the header Authorization; the header with the certificate, in DER and base64."""
 _CONTEXT = "pqsec-request-v1"
 
 
@@ -38,7 +38,7 @@ class RequestSigner:
 
     @classmethod
     def of(cls, files: Mapping[str, bytes], pin: Pin = stored_pin) -> Self:
-        """Of the installed files of a participant; errors as of `key_in`."""
+        """The signer with the installed files of a participant; errors as of `key_in`."""
         keys = tuple(key_in(files[each], pin=pin) for each in (KEY, ALT_KEY) if each in files)
         return cls(Certificate.from_pem(files[CERTIFICATE]), keys)
 

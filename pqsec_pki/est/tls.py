@@ -147,7 +147,7 @@ def peer_certificate(connection: SSL.Connection) -> Certificate | None:
 
 
 def peer_chain(connection: SSL.Connection) -> tuple[bytes, ...]:
-    """What the client sent after its certificate, in DER; nobody verified it."""
+    """What the client sent after its certificate, in DER; it is not verified."""
     own, found = connection.get_peer_certificate(), connection.get_peer_cert_chain() or ()
     dumped = [crypto.dump_certificate(crypto.FILETYPE_ASN1, each) for each in (own, *found) if each]
     return tuple(each for each in dumped if each != dumped[0])

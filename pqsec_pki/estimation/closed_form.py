@@ -36,13 +36,14 @@ class ClosedForm:
 
     pairs: int
     turns: tuple[tuple[float, float], ...]
-    """Of pairs in the order of the processors: the start, and the time at which they are free."""
+    """For each pair, in the order of the processors: its start, and the time at which they are
+    free."""
     delays: tuple[float, ...]
     """delays[n]: the share of pairs that lose more than n * STEP seconds to losses."""
 
     @classmethod
     def of(cls, scenario: Scenario) -> "ClosedForm":
-        """Of the mean sizes; memory for reassembly is taken as sufficient."""
+        """The closed form for the mean sizes, with enough memory for reassembly."""
         spent = [1 - each for each in accumulate(_delays(scenario))]
         delays = tuple(max(each, 0.0) for each in spent)
         prompt = 1 - delays[min(int(sum(scenario.work) / STEP), _BINS - 1)]
@@ -128,7 +129,7 @@ def _discovery(arrives: float, *, together: bool) -> list[float]:
         found[0] = 1.0
         at_once = 1 - (1 - arrives) ** 2
         found = _repeated(found, at_once, ANNOUNCE)
-        answered = arrives * arrives / at_once  # both were heard: nobody waits for the answer
+        answered = arrives * arrives / at_once  # both were heard: neither waits for the answer
         return _answered(found, answered + (1 - answered) * arrives, arrives)
     found[:width] = [(1 - arrives) / width] * width
     found = _repeated(found, arrives, ANNOUNCE)

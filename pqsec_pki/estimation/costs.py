@@ -12,19 +12,21 @@ from pqsec_pki.errors import MalformedError
 from pqsec_pki.handshake import WireVersion
 
 STACK_MS = 9.0
-"""Of each side for each pair: discovery, permissions, tokens and endpoints, in Cyclone DDS 0.10.2
-and the agent. Fitted to bench/calibration.csv, as the two that follow."""
+"""Milliseconds of each side for each pair: discovery, permissions, tokens and endpoints, in Cyclone
+DDS 0.10.2 and the agent. Fitted to bench/calibration.csv, as the two that follow."""
 REPEAT_MS = 2.4
-"""Of each side, for each second until a pair has met: Cyclone DDS repeats messages and heartbeats
-to all who are not matched, about 70 datagrams a second for each pair."""
+"""Milliseconds of each side, for each second until a pair has met: Cyclone DDS repeats messages and
+heartbeats to all who are not matched, about 70 datagrams a second for each pair."""
 START_MS = 25.0
-"""Of each participant: its creation in the stack and in the agent."""
+"""Milliseconds of each participant: its creation in the stack and in the agent."""
 SECOND_MS = 0.4
-"""Of each side, to inflate and parse the peer's documents in the second version of the messages:
-0.35 to 0.41 with one key, 0.61 with `transition`. Lower quartiles of 500 handshakes of each in
-turn, without the tries of ML-DSA's signatures; processor time, on a machine with other work."""
+"""Milliseconds of each side, to inflate and parse the peer's documents in the second version of the
+messages: 0.35 to 0.41 with one key, 0.61 with `transition`. Lower quartiles of 500 handshakes of
+each in turn, without the tries of ML-DSA's signatures; processor time, on a machine with other
+work."""
 _MOST_MS = 1e6
-"""Of a side of one handshake: ten times what Cyclone DDS waits for all of it."""
+"""Milliseconds of a side of one handshake: ten times as long as Cyclone DDS waits for a
+handshake."""
 STORED = "stored: one core of an AMD EPYC, 2026-11, medians of 20; other machines: --costs"
 _STORED = {
     "classical": (0.84, 0.84),
@@ -44,11 +46,11 @@ class Costs:
     responder: float
     source: str
     stack: float = STACK_MS
-    """Of each side of a pair, beside the handshake."""
+    """Milliseconds of each side of a pair, without the handshake."""
     repeat: float = REPEAT_MS
-    """Of each side of a pair, for each second that it waits."""
+    """Milliseconds of each side of a pair, for each second that it waits."""
     start: float = START_MS
-    """Of each participant, once."""
+    """Milliseconds of each participant, once."""
 
     @property
     def in_second_version(self) -> "Costs":

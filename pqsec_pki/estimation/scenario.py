@@ -53,7 +53,7 @@ class Scenario:
     """The mean of all, if they differ."""
     costs: Costs
     each: tuple[MessageSizes, ...] = ()
-    """Of each participant, if they are known."""
+    """The sizes of each participant, if they are known."""
     loss: float = 0.0
     """The share of frames that get lost, 0 <= loss < 1."""
     fragment: int = SMALL_FRAGMENT
@@ -93,7 +93,7 @@ class Scenario:
 
     @cached_property
     def deliveries(self) -> tuple[float, float, float]:
-        """Of Request, of Reply, and of one of the FINALS that answer it."""
+        """The probability that a Request arrives, a Reply, and one of the FINALS that answer it."""
         request, reply, final = map(self.delivery, self.sizes)
         return request, reply, 1 - (1 - final) ** FINALS
 
@@ -109,7 +109,7 @@ class Scenario:
 
     @property
     def bytes(self) -> float:
-        """Of samples that all participants send, on average."""
+        """Bytes of the samples that all participants send, on average."""
         sent = zip(self.sizes, self.sent, strict=True)
         return self.pairs * sum(size * often for size, often in sent)
 

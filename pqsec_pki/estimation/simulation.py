@@ -48,7 +48,7 @@ class Simulated:
 
     runs: int
     participants: int
-    """Of each run: fewer than in the fleet, if that is too large."""
+    """The participants of each run: fewer than in the fleet, if that is too large."""
     events: int
     pairs: tuple[float, ...] = field(repr=False)
     """Seconds until each pair of each run had met, sorted; `inf` if it gave up."""
@@ -194,7 +194,7 @@ class _Run:
         self._work(participant, now, self._costs.start)
 
     def _announce(self, now: float, pair: int, side: int) -> None:
-        """Of a participant to all, again and again."""
+        """Announce a participant to all, repeatedly."""
         if self._known[pair] != _BOTH:
             self._heard(now, pair, side)
             self._at(now + ANNOUNCE, self._announce, pair, side)

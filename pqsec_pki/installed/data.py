@@ -16,7 +16,7 @@ from pqsec_pki.vendors import files_of_plugins, installed_plugins
 
 SYSTEM_UNITS = Path("/etc/systemd/system")
 _SERVICE = (Path("/etc/pqsec"), Path("/var/lib/pqsec"))
-"""Of examples/operations: the passphrase, and the user's home."""
+"""The folders of examples/operations: the passphrase, and the user's home."""
 
 
 def made_here(environment: Mapping[str, str], plugin: Path) -> Iterator[Place]:

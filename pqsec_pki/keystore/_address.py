@@ -1,7 +1,7 @@
 """The address of a ledger in PostgreSQL, which the settings of a keystore keep.
 
 It names no secret: passwords are where libpq looks for them (a password file, or a service file),
-and the settings are read by everybody who may read the keystore.
+and all who may read the keystore can read its settings.
 """
 
 import os

@@ -24,9 +24,9 @@ class CopyKey(NamedTuple):
 
     place: str
     version: tuple[int, ...] = ()
-    """Of a file, as of `file_version`; empty for a place that is asked what is new."""
+    """The version of a file, as of `file_version`; empty for a database."""
     changed: int = 0
-    """When the file was changed last, in nanoseconds; 0 for such a place."""
+    """When the file was last changed, in nanoseconds; 0 for a database."""
 
     def shows_changes_after(self, moment: int) -> bool:
         """Whether any change after `moment` gives another key."""

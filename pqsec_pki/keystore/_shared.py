@@ -86,7 +86,7 @@ def _connection(
 def writing(
     root: Path, address: LedgerAddress | None = None, *, hold: bool = False, keep: bool = False
 ) -> "Iterator[PostgresLedger | None]":
-    """The same, for who has locked the keystore: no other machine adds lines meanwhile.
+    """The same, for a caller that has locked the keystore: no other machine can then add lines.
 
     With `address` it is that database, whatever the settings say. With `hold` the block may make
     any number of changes, each a transaction of its own; with `keep` its connection stays open for

@@ -35,9 +35,9 @@ class LedgerFile:
     file: str
     sha256: str
     kind: str
-    """Of the line."""
+    """The kind of the line."""
     name: str = ""
-    """Of the participant; empty for what all share."""
+    """The participant's name; empty for shared files."""
 
     def is_newer(self, root: Path, numbers: Callable[[], Mapping[str, int]]) -> bool:
         """Whether the keystore at `root` lacks it, or has one of an earlier line.
@@ -113,7 +113,7 @@ def pem_fingerprint(data: bytes) -> str | None:
 def recorded_files(
     made: Folder, folders: Collection[str], entries: Iterable[Entry]
 ) -> Iterator[tuple[str, bytes]]:
-    """Of the files that are staged in these folders, those that the lines are about."""
+    """The files that are staged in these folders and that the lines are about."""
     wanted = {each.sha256 for each in entries}
     for folder in folders:
         with made.below(folder) as staged:

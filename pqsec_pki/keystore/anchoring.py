@@ -166,7 +166,7 @@ def _broken_proofs(anchors: Mapping[Path, HeadExtension]) -> Iterator[str]:
 
 
 def _differences(heads: Mapping[Path, TreeHead], tree: MerkleTree) -> Iterator[str]:
-    """Of the heads whose lines the ledger does not have, the first of each kind."""
+    """The first head of each kind whose lines the ledger does not have."""
     fitting = {path for path, head in heads.items() if _fits(head, tree)}
     signed = [heads[path].size for path in fitting]
     wrong = sorted((head.size, path) for path, head in heads.items() if path not in fitting)

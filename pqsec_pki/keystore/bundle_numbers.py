@@ -29,7 +29,7 @@ _KINDS = (
 )
 """The kinds of lines about files that are in bundles."""
 MAX_NUMBER = (1 << 63) - 1
-"""Of a row in SQLite, so of a ledger line."""
+"""The largest number of a row in SQLite, and so of a ledger line."""
 
 
 @dataclass(frozen=True, slots=True)

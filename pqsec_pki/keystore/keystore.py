@@ -361,7 +361,7 @@ class Keystore:
         refuse_unknown(self.root, name)
 
     def elsewhere(self, names: Iterable[str]) -> list[str]:
-        """Of these participants those whose files another machine with the same ledger has."""
+        """The participants of these whose files another machine with the same ledger has."""
         missing = [name for name in map(layout.enclave_name, names) if not self.has(name)]
         if not missing or not self.ledger_address:
             return []

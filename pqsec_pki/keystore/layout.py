@@ -125,7 +125,7 @@ def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
 
 
 def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, str]:
-    """Of `shared_links`, those that are missing in the keystore at `root`, or lead elsewhere."""
+    """Those of `shared_links` that are missing in the keystore at `root`, or lead elsewhere."""
     folder = f"{root}/{enclave_folder(name)}"
     return {
         link: target

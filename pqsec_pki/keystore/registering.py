@@ -28,7 +28,7 @@ class Registration:
 
     signed: SignedGrant
     number: int
-    """Of its line."""
+    """The number of its line."""
     revoked: bool
     orders: Mapping[str, int]
     """How many participants each order enrolled, by its digest."""

@@ -72,7 +72,8 @@ class ParticipantState:
     name: str
     state: State
     sha256: str
-    """Of its newest certificate, as serial, times, profile, domains and keys are."""
+    """SHA-256 of its newest certificate; serial, times, profile, domains and keys are of that one
+    too."""
     serial: str
     made_at: datetime
     not_after: datetime

@@ -90,7 +90,7 @@ class Status:
 
     @property
     def list_is_due(self) -> bool:
-        """Whether there is a revocation list that is to be renewed."""
+        """Whether there is a revocation list that is due."""
         return bool(self.revocation_list and self.revocation_list.state.calls_for_renewal)
 
 

@@ -40,7 +40,7 @@ _KINDS = (
 """Which lines are needed, and what they must be in full."""
 
 _OF_THE_PROCESS = ("__BUILT-IN PARTITION__",)
-"""Of readers of Cyclone DDS's own topics, which are not on the network."""
+"""The partitions of readers of Cyclone DDS's own topics, which are not on the network."""
 _USER_DATA = re.compile(r"user_data=\d+<")
 _OCTETS = re.compile(r'"([^"]*)"|(\d{1,3})')
 _ENTITY_NAME = re.compile(r'\bentity_name="([^"]*)"')

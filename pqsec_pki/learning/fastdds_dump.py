@@ -71,7 +71,7 @@ class _Dump:
     of: Mapping[str, Mapping[str, _Entity]]
     """The entities of each kind, by their ID."""
     domain: int
-    """Of participants whose domain the dump does not have."""
+    """The domain of participants whose domain the dump does not have."""
 
     def participant(self, entity: _Entity) -> DiscoveredParticipant:
         process = self.of["processes"].get(str(entity.get("process")), {})

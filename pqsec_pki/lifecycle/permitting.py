@@ -37,7 +37,7 @@ class PermissionsChange:
     """None if none were signed yet."""
     new: Permissions
     config_digest: str = ""
-    """Of the domain file that the participant is in; empty if it is in none."""
+    """The digest of its entry in a domain file; empty if it is in none."""
     subject: str = ""
     """The subject of its certificate."""
 

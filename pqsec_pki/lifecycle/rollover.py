@@ -51,7 +51,7 @@ class Rollover:
     name: str | None = None
     """The start of the new CAs' names; None for the old name and the generation: Lab G2."""
     validity: timedelta = CA_VALIDITY
-    """Of the new CAs; participants keep the validity that they were issued for."""
+    """The validity of the new CAs; participants keep the validity that they were issued for."""
     rekey: bool = False
     """Whether participants get new keys even if their algorithms fit the profile."""
     destroy: bool = False
@@ -95,7 +95,7 @@ class RolloverPlan:
     head: str = field(repr=False)
     """The ledger's head when the plan was made; another change makes the plan invalid."""
     generation: int
-    """Of the new CAs."""
+    """The generation of the new CAs."""
     archive: Path
     """The folder for the replaced CAs."""
     one_ca: bool

@@ -20,7 +20,7 @@ from pqsec_pki.lint.file import File, file_with
 MAX_FILES = 100_000
 """A keystore of 10,000 participants has 40,000 files; the limit stops at a home folder."""
 MAX_BYTES = 1 << 30
-"""Of all files together, which stay in memory: that keystore has 0.2 GB."""
+"""Bytes of all files together, which stay in memory: that keystore has 0.2 GB."""
 LEDGER = f"{layout.PRIVATE}/{layout.LEDGER}"
 
 # In a folder, only files with such a name are read, including backup copies (key.pem~).

@@ -79,7 +79,7 @@ def generations(
     for number, profile in enumerate(profiles, 1):
         root = folder / f"generation{number}"
         _copy(current.keystore.root, root)
-        # on a copy that nobody trusts, nobody need approve
+        # a copy is not trusted, so it needs no approvals
         keystore = replace(Keystore.open(root, to_change=True), approved=True)
         plan = plan_rollover(keystore, Rollover(profile=profile), now=now)
         current = Generation(apply_rollover(keystore, plan, now=now).keystore, plan)

@@ -27,7 +27,7 @@ _FUNCTIONS = tuple(
 )
 _SECONDS = 120
 _MODE = 0o755
-"""Of the folder: others may load the plugin from it."""
+"""The mode of the folder: others may load the plugin from it."""
 
 
 class CompileError(PqsecError):
@@ -41,7 +41,7 @@ class Built:
     library: Path
     links: tuple[Path, ...]
     units: tuple[Path, ...] = ()
-    """Of systemd, if they were wanted."""
+    """The units of systemd, if they were wanted."""
 
     def to_json(self) -> dict[str, object]:
         """The files for --json."""

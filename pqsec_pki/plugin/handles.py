@@ -6,7 +6,8 @@ from typing import Any, TypeVar
 from pqsec_pki.errors import VerificationError
 
 MAX_OBJECTS = 16384
-"""Of one connection. A peer has an identity, and a handshake with each local participant."""
+"""Objects of one connection. A peer has an identity, and a handshake with each local
+participant."""
 SPARE = 256
 """Objects that are reserved for local participants."""
 

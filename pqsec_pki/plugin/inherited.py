@@ -14,7 +14,8 @@ from pqsec_pki.plugin.greeting import MODULE, PIN_FILE, Greeting
 from pqsec_pki.plugin.system import LIMITS, enough_files, restrictions_of
 
 _SO_PEERGROUPS = 59
-"""Of Linux, on all architectures but PA-RISC and SPARC; Python has no name for it."""
+"""SO_PEERGROUPS of Linux, on all architectures except PA-RISC and SPARC; Python has no name for
+it."""
 _INFINITE = float("inf")
 _GROUP = struct.Struct("I")
 _MOST_GROUPS = 256

@@ -168,7 +168,8 @@ class PeerTable:
             self._challenges.pop((handshake.identity, remote.guid), None)
 
     def authenticated(self) -> Iterator[tuple[int, int, Certificate]]:
-        """Of authenticated peers: (handle of the local identity, of the peer's, certificate)."""
+        """For each authenticated peer: (handle of the local identity, of the peer's,
+        certificate)."""
         for _, handshake in self._handles.all(Handshake):
             if handshake.done:
                 yield handshake.identity, handshake.remote, handshake.done.peer.certificate

@@ -64,5 +64,5 @@ def load_the_rest(note: Callable[[str], None]) -> None:
     try:
         load_schemas()
         gc.freeze()
-    except Exception as error:  # noqa: BLE001 -- it may be replaced now; who needs it is told, too
+    except Exception as error:  # noqa: BLE001 -- it may be replaced now; workers that need it report it
         note(f"later workers load it themselves: {error}")

@@ -49,7 +49,7 @@ class Fleet:
     notes: tuple[str, ...] = ()
     """What was assumed, or not checked."""
     inputs: dict[str, PolicyInput] = field(default_factory=dict, repr=False)
-    """Of a keystore: each member's documents as read, for the place of a rule."""
+    """With a keystore, each member's documents as read, for the place of a rule."""
     keystore: Keystore | None = field(default=None, repr=False)
 
     def named(self, names: Iterable[str]) -> list[str]:

@@ -10,8 +10,8 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.policy.participants import own_permissions, shared_governance
 
 MAX_PARTICIPANTS = 200
-"""Of a keystore whose other documents are read, 1 ms each: a command that issues one participant
-must not wait for 2,000. `pqsec check` has no limit."""
+"""Participants of a keystore whose other documents are read, 1 ms each: a command that issues one
+participant must not wait for 2,000. `pqsec check` has no limit."""
 
 
 def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> Iterator[str]:

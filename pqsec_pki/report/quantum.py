@@ -24,7 +24,7 @@ def exposures_of(
     status: Status | None,
     fleet: Fleet | None,
 ) -> tuple[Exposure, ...]:
-    """Of CAs and participants that are in use, of key agreements, and of the topics' traffic.
+    """The exposures of CAs and participants in use, of key agreements, and of the topics' traffic.
 
     `authorities` are the CAs' certificates by their kinds. What could not be read is None, and
     left out.
@@ -53,7 +53,8 @@ def _exposed_signatures(
     participants: Mapping[str, Certificate],
     profiles: Mapping[str, str],
 ) -> Iterator[Exposure]:
-    """Of the CAs, by their roles, and of participants, by their names, with their profiles."""
+    """The exposures of the CAs, by their roles, and of participants, by their names, with their
+    profiles."""
     for role, certificate in authorities.items():
         second = authorities.get("countersigner") if role == "permissions CA" else None
         use = f"signatures of the {role}"
@@ -67,7 +68,7 @@ def _exposed_signatures(
 
 
 def _exposed_agreements(profile: Profile) -> Iterator[Exposure]:
-    """Of the key agreements that participants of the profile use."""
+    """The exposures of the key agreements that participants of the profile use."""
     peers = "key agreement of pqsec's plugin"
     yield _agreement(peers, profile.key_agreement, profile)
     if profile.runs_in_stock:
@@ -75,7 +76,7 @@ def _exposed_agreements(profile: Profile) -> Iterator[Exposure]:
 
 
 def _exposed_traffic(governance: Governance, profile: Profile) -> Iterator[Exposure]:
-    """Of topics, by their protection: traffic that somebody records today."""
+    """The exposures of topics, by their protection: traffic that an attacker records today."""
     for rule in governance.domain_rules:
         for topics in rule.topic_rules:
             protection = Protection.of(rule, topics)

@@ -9,7 +9,7 @@ from pqsec_pki.lint import Severity
 from pqsec_pki.migration import MigrationPlan
 
 FORMAT = 1
-"""Of the JSON, which --compare reads."""
+"""The format of the JSON, which --compare reads."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,9 +26,9 @@ class HolderExtent(StrEnum):
 
     ALL = "all"
     OWN = "own"
-    """Of each topic, the members whose name is in it."""
+    """For each topic, the members whose name is in it."""
     OTHERS = "others"
-    """Of each topic, all members but those whose name is in it."""
+    """For each topic, all members except those whose name is in it."""
     SOME = "some"
 
 

@@ -53,7 +53,7 @@ class Suite:
     breaks: tuple[str, ...]
     """Properties of the profile that this key agreement does not have."""
     sizes: dict[str, MessageSize]
-    """Of request, reply and final."""
+    """The sizes of request, reply and final."""
     milliseconds: float
     """The median of the rounds: all messages and the key exchange, both sides."""
 

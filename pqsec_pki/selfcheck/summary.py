@@ -37,7 +37,7 @@ class Summary:
     tried: int = 0
     """Pairs whose handshake was run, since both participants are valid alone."""
     causes: dict[Cause, list[PairOutcome]] = field(default_factory=dict)
-    """Of pairs whose handshake was run."""
+    """The causes of pairs whose handshake was run."""
 
     @property
     def ok(self) -> bool:

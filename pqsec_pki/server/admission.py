@@ -106,7 +106,7 @@ class Admission:
         planned = self._by_plan and request.fingerprint in self._requests_of(name)[-1:]
         if holder.by == _APPROVED or (self._by_plan and not planned):
             self._refuse_undecided(request, name, call, planned=planned)
-        if holder.certificate or holder.device:  # nobody counts how often these admit
+        if holder.certificate or holder.device:  # these admit without a limit of uses
             refuse_many(
                 f"certificates of {name}", self.ledger.of_name("participant", name), self.now
             )

@@ -22,7 +22,7 @@ SECONDS = 60.0
 MOST_OPEN = 256
 """Calls that wait for the signer, here or there."""
 MOST_SENT = 128
-"""Of these at the signer: those that it answers together now, and the next."""
+"""Calls at the signer: those that it answers together now, and the next."""
 _OCTETS = 64 << 10
 """A call with a longer body counts as several: 16 receipts would else be all that may wait."""
 KEPT_SECONDS = 5.0

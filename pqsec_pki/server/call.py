@@ -49,7 +49,7 @@ class SignerCall:
     kind: CallKind
     label: str = ""
     address: str = ""
-    """Of the client, for records."""
+    """The client's address, for records."""
     token: str = ""
     secret: str = field(default="", repr=False)
     certificate: bytes = field(default=b"", repr=False)
@@ -96,13 +96,13 @@ class SignerAnswer:
     retry_after: int = 0
     """Seconds; 0 for none."""
     detail: str = ""
-    """Of an answer that is an error: what is wrong, for the client."""
+    """What is wrong, for the client, if the answer is an error."""
     problem: str = ""
     """The type of that error, a URI reference; empty for none."""
     note: str = ""
     """For the log: who got what, and by what."""
     trouble: str = ""
-    """Of the signer: why its files are not in force; for the pages about its health."""
+    """Why the signer's changed files are not in force; for the pages about its health."""
 
     def to_bytes(self) -> bytes:
         """The answer as octets."""

@@ -34,7 +34,7 @@ _REFUSALS = {
 MOST_HEADERS = 64
 """Lines of the header of a request; each has at most 16 kB, which is Twisted's limit."""
 MOST_OCTETS = 24 << 10
-"""Of all lines: the certificate and the signature of an ML-DSA-87 key have 17 kB."""
+"""Octets of all header lines: certificate and signature of an ML-DSA-87 key have 17 kB."""
 
 
 class LimitedRequest(Request):

@@ -1,4 +1,4 @@
-"""Limits before it is known who asks: connections, and requests in a time; memory is bounded."""
+"""Limits before the client is known: connections, and requests in a time; memory is bounded."""
 
 import time
 from collections import Counter, OrderedDict

@@ -12,8 +12,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.errors import MalformedError
 
 MOST_OCTETS = 4096
-"""Of a header of version 2: addresses of TCP have 52 with what is before them, and all TLVs that
-there are fit."""
+"""Octets of a header of version 2: 52 with addresses of TCP, so all TLVs that exist fit."""
 _LINE = 107
 """Octets of a header of version 1, with its end (clause 2.1)."""
 _PROXY = b"PROXY "

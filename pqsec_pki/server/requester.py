@@ -32,7 +32,7 @@ class Admitted:
     by: str
     """The name of its admission in the ledger."""
     spec: ParticipantSpec | None = None
-    """What is to be issued; None if that was done before."""
+    """What to issue; None if that was done before."""
     line: Entry | None = None
     """The line that the ledger gets with it."""
     replaces: bool = False
@@ -44,11 +44,11 @@ class Requester:
     """The requester: the holder of a token or of a participant's certificate, or unknown."""
 
     name: str
-    """Of the participant; empty for a token."""
+    """The participant's name; empty for a token."""
     by: str
     token: TokenState | None = None
     certificate: Certificate | None = None
-    """Of the participant."""
+    """The participant's certificate."""
     device: Certificate | None = None
     """That of its factory."""
     again: bool = False

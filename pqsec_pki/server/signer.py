@@ -240,7 +240,7 @@ def _user(link: socket.socket) -> int:
 
 
 def ask(path: Path, call: SignerCall) -> SignerAnswer:
-    """The signer's answer, for who may wait; FileError if none listens there."""
+    """The signer's answer, for callers that may block; FileError if no signer listens there."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as link:
         link.settimeout(SECONDS)
         try:

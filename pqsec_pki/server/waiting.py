@@ -31,7 +31,7 @@ class WaitingRequest:
 
     name: str
     sha256: str
-    """Of its DER; `pqsec inspect` on the robot shows it too."""
+    """SHA-256 of its DER; `pqsec inspect` on the robot shows it too."""
     address: str
     """From which it was first sent."""
     received: datetime

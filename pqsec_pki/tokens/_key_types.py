@@ -51,7 +51,7 @@ def template(label: str, identifier: bytes) -> dict[str, Any]:
         "label": label,
         "store": True,
         "capabilities": MechanismFlag.SIGN | MechanismFlag.VERIFY,
-        # Some tokens make keys that can be read, unless told otherwise.
+        # Some tokens make keys that can be read, unless asked for others.
         "private_template": {
             Attribute.SENSITIVE: True,
             Attribute.EXTRACTABLE: False,

@@ -90,7 +90,7 @@ def made_keys(
         yield MadeKeys({name: key for name, key in keys.items() if key}, frozenset(made))
     except BaseException:
         for each in made.values():
-            with suppress(PqsecError):  # the first error is the one to tell
+            with suppress(PqsecError):  # the first error is the one to report
                 _pkcs11().destroy(each, pin)
         raise
 

@@ -25,7 +25,7 @@ _LONGEST = 256
 
 @dataclass(slots=True)
 class HandshakeTraffic:
-    """Of a network, as it is seen."""
+    """The handshake traffic of a network, as it is seen."""
 
     messages: int = 0
     """Each of a pair once."""
@@ -59,7 +59,8 @@ def _payloads(datagram: bytes) -> Iterator[bytes]:
 
 
 def _payload(kind: int, flags: int, order: str, body: bytes) -> Iterator[bytes]:
-    """Of a Data or DataFrag submessage (RTPS 2.5, 9.4.5.4 and 9.4.5.5), if it is the first."""
+    """The payload of a Data or DataFrag submessage (RTPS 2.5, 9.4.5.4 and 9.4.5.5), if it is the
+    first."""
     if flags & _INLINE_QOS or len(body) < 32:  # noqa: PLR2004 -- no stack puts QoS there
         return
     if kind == _DATA:

@@ -47,9 +47,9 @@ class Counts:
     frames: int = 0
     """IP packets that hosts sent; one to a group is one."""
     bytes: int = 0
-    """Of these, from their Ethernet headers on."""
+    """Bytes of these, from their Ethernet headers on."""
     fragments: int = 0
-    """Of these, parts of a datagram that was too long for one frame."""
+    """Those of these that are parts of a datagram that was too long for one frame."""
     deliveries: int = 0
     """One for each port that a frame should reach."""
     lost: int = 0

@@ -74,7 +74,7 @@ class AgentUse:
 
     @classmethod
     def of(cls, plugin: TrialPlugin) -> Self:
-        """Of a running agent; nothing if it is too busy to answer."""
+        """The use of a running agent; nothing if it is too busy to answer."""
         try:
             status = agent_status(AgentFolder.of(plugin.environment))
         except FileError:

@@ -67,7 +67,7 @@ class HostsRun:
 
     hosts: tuple[HostOutcome, ...]
     counts: Mapping[str, int | float]
-    """Of the switch until all had met: see `_switch.Counts`."""
+    """The switch's counts until all had met: see `_switch.Counts`."""
     samples_lost: int | None
     """Samples that did not arrive, one for each receiver; None unless all had met."""
 

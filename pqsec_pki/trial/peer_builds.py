@@ -30,7 +30,7 @@ class PeerBuild:
     commands: tuple[Command, ...]
     """Run in order in a folder with the sources; the last one creates `peer`."""
     packages: str
-    """Of Debian and Ubuntu."""
+    """Packages of Debian and Ubuntu."""
     open: str
     """The configuration, in peers/, of a participant without credentials."""
     variable: str

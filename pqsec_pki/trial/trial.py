@@ -35,7 +35,7 @@ class Trial:
     timeout: float
     """Seconds to wait for the sample."""
     password: str | None = field(default=None, repr=False)
-    """Of the participants' keys, if they are encrypted."""
+    """The passphrase of the participants' keys, if they are encrypted."""
     anyway: bool = False
     """Whether to try credentials that the stack is known to refuse."""
     plugin: TrialPlugin | None = None
@@ -45,7 +45,7 @@ class Trial:
     now: datetime
 
     def installation_of(self, act: Act) -> Installation:
-        """The stack of who does that."""
+        """The stack of the participant with this role."""
         return (act is Act.RECEIVE and self.receiving) or self.installation
 
     def plugin_of(self, name: str) -> TrialPlugin | None:
@@ -58,7 +58,7 @@ class TrialReport:
     """The result of a trial."""
 
     installations: tuple[Installation, ...]
-    """Of the sender, and of the receiver if it is another."""
+    """The stack of the sender, and of the receiver if it is another."""
     topic_route: TopicRoute
     sender: PeerOutcome
     receiver: PeerOutcome

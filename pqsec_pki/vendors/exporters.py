@@ -29,7 +29,7 @@ class Exporter:
 
     stack: Stack | OtherStack
     writer: Writer | None = None
-    """Of another package's stack."""
+    """The writer of another package's stack."""
     versions: str
     """The versions whose configuration is known, in words."""
     first: Version = ()

@@ -39,7 +39,7 @@ class Options:
     """The options of an export."""
 
     version: str | None = None
-    """Of the stack, such as 3.1.2 or 3.1; None if not given."""
+    """The version of the stack, such as 3.1.2 or 3.1; None if not given."""
     loopback: bool = False
     """For tests on one machine: only 127.0.0.1, no multicast."""
     udp_only: bool = False
@@ -63,7 +63,7 @@ class Options:
 
     @property
     def runs_in(self) -> str:
-        """Of ROS 2, the middleware that runs our plugin: `rmw`, else that of the shell."""
+        """The middleware of ROS 2 that runs our plugin: `rmw`, else that of the shell."""
         shell = "" if self.at else self.environment.get("RMW_IMPLEMENTATION", "")
         return self.rmw or ("fastrtps" if shell == "rmw_fastrtps_cpp" else Stack.CYCLONEDDS.value)
 

@@ -33,7 +33,8 @@ OPENDDS_RECORD = "pqsec-opendds.json"
 OPENDDS_SOURCES = SOURCES.with_name(Stack.OPENDDS.value)
 
 _STANDARDS = ("gnu++17", "gnu++14", "gnu++11")
-"""Of C++, the first that the user's headers compile with: those of ACE 6 do not with C++17."""
+"""Standards of C++: the first that the user's headers compile with counts; ACE 6 does not compile
+with C++17."""
 _DEFINED = (
     "-DOPENDDS_SECURITY",  # from 3.27 or so on, a header has it too
     "-D__ACE_INLINE__",  # then it does not matter how ACE was built

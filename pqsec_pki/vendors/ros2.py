@@ -38,7 +38,8 @@ FAST_DDS_NOTE = (
     "under rmw_fastrtps, ROS 2's default, nodes of this profile meet with Fast DDS 2.14.5 or 3.2.3,"
     " and not with 2.14.4 or 3.2.0 to 3.2.2; under rmw_cyclonedds, with any"
 )
-"""Of the 8192 bytes that these cannot send more than (PQS501); 2.14 is Jazzy's, 3.2 Kilted's."""
+"""A note about versions that cannot send more than 8192 bytes (PQS501); 2.14 is Jazzy's, 3.2
+Kilted's."""
 RANGE, LOCALHOST = "ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST"
 
 

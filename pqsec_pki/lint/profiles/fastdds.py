@@ -42,7 +42,7 @@ _OTHERS = (
       for each in ("distribute", "logging_level", "log_file")),
 )  # fmt: skip
 _CLOSE = 0.8
-"""Of difflib's measure."""
+"""The least similarity, as difflib measures it."""
 
 
 def _full(plugin: str, name: str) -> str:
