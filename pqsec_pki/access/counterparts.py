@@ -1,5 +1,4 @@
-"""Rights without a counterpart: topics that are published without a permitted subscriber, or the
-reverse.
+"""Rights without a counterpart: to publish without a permitted subscriber, or the reverse.
 
 Only what is certain is reported: deny_rules are ignored, and two patterns that begin alike count
 as overlapping. What ROS 2 gives every node, used or not, is left out.

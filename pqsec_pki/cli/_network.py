@@ -1,5 +1,4 @@
-"""Options that enrol and renew share: the server, and the trusted CAs; and the report of each
-robot."""
+"""Options that enrol and renew share, for the server and the trusted CAs; and their report."""
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path

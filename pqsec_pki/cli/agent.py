@@ -35,7 +35,7 @@ def agent() -> None:
 def status() -> int:
     """Show whether the plugin's agent runs, and which processes use it.
 
-    Agents that serve no new hosts, as after an update, are shown below it while they have hosts.
+    Older agents, which serve no new processes, as after an update, follow while processes use them.
     """
     folder = _agent_folder()
     found, retired = agent_status(folder), retired_agents(folder)
@@ -59,7 +59,7 @@ def status() -> int:
 )
 @_settings.command_options
 def stop() -> None:
-    """Stop the agent, and those that serve no new hosts.
+    """Stop the agent, and older agents that processes still use.
 
     Matched participants continue to exchange data. New participants start a new agent. A
     participant that was created earlier cannot authenticate new peers and is not informed

@@ -144,7 +144,7 @@ def bench(
 ) -> int:
     """Measure the time, message sizes and memory of the handshake.
 
-    In memory, both sides in one process and without a DDS stack: new participants of each suite
+    In memory, both sides run in one process, without a DDS stack. New participants of each suite
     run whole handshakes, and each verifies the other as if they had never met. JSON has
     percentiles, all samples and the environment; CSV has one line for each operation of each
     handshake.

@@ -40,8 +40,8 @@ def schema(writers: tuple[str, ...], readers: tuple[str, ...]) -> None:
     """Write the SQL that makes the tables, or brings older ones up to date.
 
     The owner of the database runs it with psql, once and after an update of pqsec; it may be
-    repeated. pqsec itself needs a role that reads and inserts: no role but the owner can change or
-    remove a line.
+    repeated. pqsec itself needs a role that reads and inserts. Only the owner can change or remove
+    a line.
     """
     sql = schema_sql(writers, readers)
     _printing.emit({"sql": sql}, sql.splitlines())

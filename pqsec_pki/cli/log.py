@@ -115,9 +115,9 @@ def log(  # noqa: PLR0913 -- one for each option, by name
     truncated or rewritten.
 
     Each command that signs documents signs a head of the tree over all lines. Keep heads where
-    users of the keystore cannot change them: --anchor DIR adds the newest one, and --verify
-    --anchor DIR shows whether the end was cut off, lines were rewritten, or the CAs signed two
-    histories, and from which line on.
+    users of the keystore cannot change them: --anchor DIR adds the newest one. --verify --anchor
+    DIR shows whether the end was cut off, lines were rewritten, or the CAs signed two histories,
+    and from which line on.
     """
     _formats.chosen(form)
     verify = verify or head is not None

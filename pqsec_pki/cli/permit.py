@@ -85,9 +85,10 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Add or remove single rights of participants; their keys stay.
 
-    NAME may be a pattern ('/robot1/*') or a group (@hall1). With --policy, such as a proposal
-    of `pqsec permissions learn`, each participant gets what the file grants to its name; without
-    a NAME, all that are in the file and in the keystore. The permissions keep their validity.
+    NAME may be a pattern ('/robot1/*') or a group (@hall1). With --policy, such as a proposal of
+    `pqsec permissions learn`, each participant gets what the file grants to its name. Without a
+    NAME, these are all participants of the file that the keystore has. The permissions keep their
+    validity.
 
     The change of rights is shown first. Either all participants are changed or none. Robots get
     the new permissions with their next bundle, or by a copy of the enclave.

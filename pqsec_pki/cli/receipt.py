@@ -41,10 +41,9 @@ def import_(files: tuple[Path, ...], *, older: bool) -> None:
     """Record what robots run, from the receipts that `pqsec install` writes.
 
     FILE is DIR/installed.receipt of a robot. Each of its participants must have signed with all
-    keys of a certificate that this keystore issued to it; a certificate that was renewed since
-    shows that the robot is outdated. Receipts are recorded in the ledger, all or none, but not
-    those of revoked certificates. Then `pqsec status` shows what each robot runs, and what it
-    should run.
+    keys of a certificate that this keystore issued to it. If the certificate was renewed since, the
+    robot is outdated. Receipts are recorded in the ledger, all or none, but not those of revoked
+    certificates. Then `pqsec status` shows what each robot runs, and what it should run.
     """
     keystore = _settings.open_keystore(to_change=True)
     done = import_receipts(keystore, files, now=_settings.now(), older=older)

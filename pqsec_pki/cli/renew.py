@@ -105,10 +105,10 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     Name participants ('/robot1/*' is all that match, @hall1 a group), or use --due or
     --all. Either all are renewed or none. If the revocation list is due, a new one is issued too.
 
-    With --from, on a robot that enrolled with `pqsec enrol`: a certificate that is due, or all
-    with --rekey, is replaced by one for new keys; else the newest documents and list are fetched.
-    Each participant is renewed by itself, and stays as it was if that fails. How the server is
-    known is in DIR/server.json, unless you say it.
+    With --from, on a robot that enrolled with `pqsec enrol`, it replaces certificates that are due,
+    or all with --rekey, by certificates for new keys. Otherwise it fetches the newest documents and
+    list. Each participant is renewed by itself, and stays as it was if that fails. DIR/server.json
+    says how to recognise the server, unless options do.
     """
     refuse_mixed(url)
     if url is not None:

@@ -65,8 +65,8 @@ def import_receipts(
     """Enter the receipts in the files `paths` in the ledger, all or none, oldest first.
 
     VerificationError, with everything that is wrong, for a receipt whose signature is not valid,
-    or by a certificate that this keystore did not issue to that participant; for one from the
-    future; and, unless `older`, for one that is not newer than the newest recorded. One whose
+    for one by a certificate that this keystore did not issue to that participant, for one from the
+    future, and, unless `older`, for one that is not newer than the newest recorded. One whose
     certificate was revoked, or whose key is compromised, is left out, and refused if its file has
     no other. MalformedError for a file that is not a receipt.
     """
