@@ -1,4 +1,4 @@
-"""Where the data files are: XSD schemas and document templates.
+"""Finds the data files: XSD schemas and document templates.
 
 They are at the top of the repository, and the wheel contains copies inside the package
 (pyproject.toml, force-include). An editable install has only those of the repository,

@@ -35,7 +35,7 @@ def _dataclass(
     weakref_slot: bool = False,
     kw_only: bool = False,
 ) -> Callable[[_Kind], _Kind]:
-    """As `dataclasses.dataclass` with these options, for a class without methods of these names."""
+    """Like `dataclasses.dataclass`, for a class that defines none of the generated methods."""
 
     def decorated(plain: _Kind) -> _Kind:
         types = _annotations(plain)
@@ -136,7 +136,7 @@ def _read_fields(
 
 
 def _field(name: str, type_: Any, value: Any, *, kw_only: bool) -> Any:
-    """As the library makes it; `value` is its default, or the result of `field`."""
+    """The field as `dataclasses` makes it; `value` is its default, or the result of `field`."""
     made: Any = value if isinstance(value, dataclasses.Field) else dataclasses.field(default=value)
     made.name, made.type = name, type_
     made._field_type = _FIELD  # noqa: SLF001 -- what `fields` looks for

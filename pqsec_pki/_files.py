@@ -76,7 +76,7 @@ def noted(seen: dict[Path, FileVersion]) -> Iterator[None]:
 
 
 def real_path(path: Path) -> str:
-    """Where the links on the path lead; for `read_within`."""
+    """The path with all links resolved, for `read_within`."""
     return os.path.realpath(path)
 
 

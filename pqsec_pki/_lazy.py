@@ -54,7 +54,7 @@ def _in_source(path: Path) -> Iterator[tuple[str, str, str]]:
 
 
 def _in_bytecode(path: Path) -> Iterator[tuple[str, str, str]]:
-    """The same of its `.pyc`, in installations without sources."""
+    """Like `_in_source`, read from the `.pyc`, in installations without sources."""
     import dis  # noqa: PLC0415 -- few installations need it
     import marshal  # noqa: PLC0415 -- likewise
 

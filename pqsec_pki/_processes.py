@@ -42,7 +42,7 @@ class _Failure(NamedTuple):
 class _Fork(NamedTuple):
     process: int
     pipe: int
-    """Where it writes its result at its end."""
+    """The pipe to which it writes its result at its end."""
 
 
 def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]:

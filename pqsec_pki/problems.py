@@ -68,7 +68,7 @@ class Code(StrEnum):
     ONE_KEY_TWO_ROLES = "one-key-two-roles"
     """The identity CA and the permissions CA have the same key (CVE-2023-24010)."""
     CA_DOUBLED = "ca-doubled"
-    """The same CA twice instead of two CAs."""
+    """A file has the same CA twice instead of two CAs."""
     CA_UNKNOWN = "ca-unknown"
     """A CA that is not trusted, or not in that role."""
     CA_MISSING = "ca-missing"
@@ -150,9 +150,9 @@ class Problem:
         return f"{subject}{place}{element}{self.message}"
 
     def of(self, subject: str) -> Self:
-        """The same problem, with `subject` before its own subject."""
+        """This problem, with `subject` before its own subject."""
         return replace(self, subject=": ".join(filter(None, (subject, self.subject))))
 
     def as_code(self, code: Code) -> Self:
-        """The same problem with another code."""
+        """This problem with another code."""
         return replace(self, code=code)

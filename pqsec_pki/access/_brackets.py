@@ -48,7 +48,7 @@ def between(low: str, high: str) -> int:
 
 
 def posix_bracket(pattern: str, place: int, escape: str) -> tuple[int, int] | None:
-    """As glibc reads it, without the collating symbols of other locales."""
+    """The bracket as glibc reads it, without the collating symbols of other locales."""
     negated = pattern.startswith(("!", "^"), place)
     place += negated
     begin, members = place, 0
@@ -85,7 +85,7 @@ def _character(pattern: str, place: int, escape: str) -> tuple[str, int]:
 
 
 def cyclonedds_bracket(pattern: str, place: int, _escape: str) -> tuple[int, int]:
-    """As Cyclone DDS reads it: `[^a]` is `^` or `a`; a bracket that is not closed covers nothing.
+    """For Cyclone DDS `[^a]` is `^` or `a`; a bracket that is not closed covers nothing.
 
     It reads the closing `]` as a member first: `[ab]` also contains `]`, and `[0-9]-f` is one
     bracket, with the digits and `]` to `f`.

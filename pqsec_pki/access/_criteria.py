@@ -32,7 +32,7 @@ def standard_partitions(
 
 
 def named_partitions(context: EvaluationContext, criteria: Criteria, rule: PermissionRule) -> bool:
-    """As `standard_partitions`, but the endpoint's partitions are taken as plain names."""
+    """Like `standard_partitions`, but the endpoint's partitions are plain names."""
     if not rule.allow and not criteria.partitions:
         return True
     return cyclonedds_partitions(context, criteria, rule)
@@ -41,7 +41,7 @@ def named_partitions(context: EvaluationContext, criteria: Criteria, rule: Permi
 def cyclonedds_partitions(
     context: EvaluationContext, criteria: Criteria, rule: PermissionRule
 ) -> bool:
-    """As names; a deny_rule that names no partition denies only the default partition.
+    """Partitions as names; a deny_rule that names none denies only the default partition.
 
     Cyclone DDS 0.10.2 (measured): its parser puts the default partition in both.
     """
@@ -57,7 +57,7 @@ def _named(context: EvaluationContext, patterns: tuple[str, ...], name: str) -> 
 def opendds_partitions(
     context: EvaluationContext, criteria: Criteria, rule: PermissionRule
 ) -> bool:
-    """As names; an endpoint without partitions matches every allow_rule.
+    """Partitions as names; an endpoint without partitions matches every allow_rule.
 
     OpenDDS 3.34 (read): partitions_match looks only at partitions that the endpoint has, so it
     finds none that is not allowed, and none that is denied. If an allow_rule names no

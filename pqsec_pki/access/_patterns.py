@@ -112,13 +112,13 @@ def _characters(text: str) -> str:
 
 
 def read(pattern: str) -> Compiled:
-    """As `posix` reads it."""
+    """The pattern as fnmatch of POSIX reads it."""
     return _compiled(pattern, posix_bracket, escape="\\")
 
 
 @lru_cache(_CACHED)
 def compiled(pattern: str) -> Compiled:
-    """As `read`, cached: for patterns of documents."""
+    """Like `read`, cached: for patterns of documents."""
     return read(pattern)
 
 

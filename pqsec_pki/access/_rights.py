@@ -69,7 +69,7 @@ class Dimensions:
 
     @classmethod
     def of(cls, grants: Iterable[Grant]) -> "Dimensions":
-        """Those that these grants distinguish."""
+        """The dimensions that these grants distinguish."""
         grants = tuple(grants)
         rules = [rule for grant in grants for rule in grant.rules]
         criteria = list(_criteria(rules))
@@ -120,7 +120,7 @@ class Dimensions:
         return found
 
     def _allowed(self, context: EvaluationContext) -> frozenset[str]:
-        """As the check `by_rules` decides, but for all topics at once."""
+        """The topics that the check `by_rules` allows, decided for all topics at once."""
         allowed, undecided = set[str](), set(self.topics.names)
         for rule in context.rules:
             for criteria in context.criteria(rule, context.question.action):
@@ -134,7 +134,7 @@ class Dimensions:
         )
 
     def where(self, whole: Whole) -> str:
-        """As in `on domain 0 in partition 'A'`."""
+        """Text such as `on domain 0 in partition 'A'`."""
         words = [f"on {domains_said(whole.domains)}"]
         if whole.partitions == self.partition_sets.tried:
             words.append("in any partition")
@@ -160,7 +160,7 @@ class Dimensions:
 
 
 def wholes(rights: Rights) -> Iterator[Whole]:
-    """The same rights, with actions and places merged where they have the same topics."""
+    """The rights, with actions and places merged if they have the same topics."""
     items: list[tuple[Any, ...]] = [(*right, names) for right, names in rights.items() if names]
     for dimension in (1, 2, 3, 0):
         groups: dict[tuple[Any, ...], list[Any]] = {}
@@ -180,7 +180,7 @@ def _criteria(rules: Iterable[PermissionRule]) -> Iterator[Criteria]:
 
 
 def _partition_sets(partitions: SampleNames, grants: tuple[Grant, ...]) -> Sets[str]:
-    """Those of the criteria; allow_rules without partitions are for the default partition."""
+    """Partition sets of the criteria; an allow_rule without one is for the default partition."""
     allowed = [
         partitions.covered_by(each.partitions or _DEFAULT) for each in _of_rules(grants, allow=True)
     ]
@@ -193,7 +193,7 @@ def _partition_sets(partitions: SampleNames, grants: tuple[Grant, ...]) -> Sets[
 
 
 def _tag_sets(grants: tuple[Grant, ...]) -> Sets[_Tag]:
-    """Those of the criteria, and a tag that is in none of them."""
+    """Tag sets of the criteria, and a tag that is in none of them."""
     allowed = [frozenset(each.data_tags) for each in _of_rules(grants, allow=True)]
     denied = [frozenset(each.data_tags) for each in _of_rules(grants, allow=False)]
     every = tuple(dict.fromkeys([_OTHER_TAG, *sorted(frozenset().union(*allowed, *denied))]))

@@ -54,7 +54,7 @@ def standard_in_force(grant: Grant, now: datetime) -> bool:
 
 
 def fastdds_in_force(grant: Grant, now: datetime) -> bool:
-    """As `standard_in_force`, but with a clock of whole seconds (read)."""
+    """Like `standard_in_force`, but with a clock of whole seconds (read)."""
     return standard_in_force(grant, now.replace(microsecond=0))
 
 

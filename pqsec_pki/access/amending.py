@@ -176,7 +176,7 @@ def _topics(rule: PermissionRule, action: Action) -> list[str]:
 
 
 def _alike(rule: PermissionRule, action: Action, one: Criteria) -> list[str]:
-    """Its topics with the same partitions and data tags."""
+    """Topics of the criteria that have the partitions and data tags of `one`."""
     alike = [each for each in _criteria(rule, action) if _limits(each) == _limits(one)]
     return [topic for each in alike for topic in each.topics]
 

@@ -105,7 +105,7 @@ def open_rights(governance: Governance) -> Iterator[CriteriaRight]:
 def without_counterpart(
     asked: Iterable[CriteriaRight], known: Iterable[CriteriaRight]
 ) -> Iterator[Alone]:
-    """Those of the rights `asked`, by topic, for which no right in `known` is the other side.
+    """The rights in `asked`, by topic, for which no right in `known` is the other side.
 
     Only plain topics, and of a service or action only the topic of its request.
     """
@@ -174,7 +174,7 @@ class _Sides:
         return (topic for topic in self._of[action] if not SPECIAL.search(topic))
 
     def alone(self, right: CriteriaRight) -> Iterator[str]:
-        """Its topics for which no right is the other side, without those of `_is_routine`."""
+        """Topics of `right` for which no right is the other side, except those of `_is_routine`."""
         own, other = self._number(right), _OTHER[right.action]
         for topic in right.topics:
             if not _is_routine(topic) and not self._is_used(own, other, topic):

@@ -54,7 +54,7 @@ class InterpretedPolicy:
         self._flaw = self.interpretation.flaw(self.governance, self.permissions)
 
     def decide(self, question: Question, *, by: Viewpoint | None = None) -> Decision:
-        """As the function `decide`."""
+        """Decide like the function `decide`."""
         context = self._context(question)
         if context is None:
             return no(self._flaw or f"no grant is for {question.subject}")

@@ -17,7 +17,7 @@ from pqsec_pki.access.matrix import DocumentOwner, Matrix, TopicRow, samples, to
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
 _Users: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
-"""Those who may publish a topic, and those who may subscribe to it."""
+"""Participants that may publish a topic, and participants that may subscribe to it."""
 _Rows: TypeAlias = dict[_Users, tuple[int, ...]]
 """Each with the numbers of the ranges of domains on which they are those."""
 
@@ -58,7 +58,7 @@ def domains_named(governance: Governance, permissions: Permissions) -> tuple[Dom
 
 
 def domains_ungoverned(governance: Governance, domains: DomainSet) -> list[DomainRange]:
-    """Those of `domains` that the governance does not name, in ranges."""
+    """The domains of `domains` that the governance does not name, in ranges."""
     return [
         each
         for each in stretches([domains, *(rule.domains for rule in governance.domain_rules)])

@@ -91,7 +91,7 @@ def who_may(  # noqa: PLR0913 -- what is asked, by name
 def samples(
     members: Iterable[DocumentOwner], topics: Iterable[str], asked: Mapping[str, str | None]
 ) -> dict[str, str | None]:
-    """For each topic itself, and for each pattern a topic that it covers: that of `asked`."""
+    """Topic -> itself, pattern -> a topic that it covers; the value in `asked` has precedence."""
     wanted = tuple(dict.fromkeys(topics))
     literals = frozenset((*wanted, *topics_named(members)))
     return {topic: asked[topic] if topic in asked else sample(topic, literals) for topic in wanted}
@@ -123,11 +123,11 @@ class _MatrixMember:
     join: Question
     grant: Grant
     outline: int
-    """The same number for grants that differ only in names: decisions depend on nothing else."""
+    """A number that is equal for grants that differ only in names: no decision depends on those."""
     covering: dict[str, _Covering] | None = None
     """The topics that its criteria cover, each with the numbers of those criteria."""
     alike: dict[tuple[_Kind, _Covering], list[str]] = field(default_factory=dict)
-    """Those of one kind that the same criteria cover."""
+    """The topics of one kind that the same criteria cover."""
 
 
 class Matrix:
@@ -168,7 +168,7 @@ class Matrix:
     def _applicable(
         self, governance: Governance, owners: Iterable[DocumentOwner]
     ) -> Iterator[_MatrixMember]:
-        """Those to whom a grant applies; the others may do nothing."""
+        """The participants to which a grant applies; the others have no rights."""
         outlines: dict[object, int] = {}
         for each in owners:
             policy = InterpretedPolicy(governance, each.permissions, self._interpretation)

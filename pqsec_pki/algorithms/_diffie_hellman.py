@@ -94,7 +94,7 @@ class ModpKey:
 
     exponent: int = field(repr=False)
     der: bool = True
-    """As a DER INTEGER (Cyclone DDS), or as plain big-endian (Fast DDS, OpenDDS)."""
+    """Encode as a DER INTEGER (Cyclone DDS), or as plain big-endian (Fast DDS, OpenDDS)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -105,4 +105,4 @@ class SignaturePair(SignatureAlgorithm):
 
 
 _MADE: dict[tuple[str, str], SignaturePair] = {}
-"""By the names of the two."""
+"""Pairs by the names of the two algorithms."""

@@ -217,7 +217,7 @@ class PublicKey:
             raise VerificationError(f"bad {self.algorithm.name} signature") from error
 
     def verify_handshake(self, signature: bytes, data: bytes) -> None:
-        """The same for a signature in a handshake message (DDS-Security 1.1, 9.3.2.5)."""
+        """Like `verify`, for a signature in a handshake message (DDS-Security 1.1, 9.3.2.5)."""
         try:
             self.algorithm.check_handshake(self.handle, signature, data)
         except (InvalidSignature, ValueError) as error:
@@ -259,7 +259,7 @@ class ExternalKey(PrivateKey):
     """
 
     uri: str
-    """Where it is."""
+    """The URI of the key."""
 
     @property
     def raw(self) -> bytes:

@@ -65,9 +65,9 @@ DH_MODP_2048_256 = MODP(
     secret_size=256,
 )
 MODP_DER = replace(DH_MODP_2048_256, name="dh-modp-2048-256 (DER)", aliases=(), der=True)
-"""As in Cyclone DDS. For the models of stacks; not in the table."""
+"""The encoding of Cyclone DDS. For the models of stacks; not in the table."""
 MODP_RAW = replace(DH_MODP_2048_256, name="dh-modp-2048-256 (raw)", aliases=(), der=False)
-"""As in Fast DDS and OpenDDS."""
+"""The encoding of Fast DDS and OpenDDS."""
 _X25519 = X25519(
     name="x25519",
     wire_name="X25519",

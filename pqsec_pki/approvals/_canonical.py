@@ -24,7 +24,7 @@ def canonical(value: object) -> bytes:
 
 
 def readable(value: object) -> bytes:
-    """The same, for a file that people look at."""
+    """`value` as JSON with line breaks, for a file that people read."""
     text = json.dumps(value, sort_keys=True, indent=1, ensure_ascii=False)
     return text.encode() + b"\n"
 

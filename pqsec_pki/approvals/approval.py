@@ -36,7 +36,7 @@ class Approval:
 
     approver: str
     at: datetime
-    """By the approver's clock."""
+    """The time of the approval, by the approver's clock."""
     proposal: str
     """The digest of the proposal."""
     signature: bytes

@@ -53,7 +53,7 @@ class ApprovalPolicy:
     required: int
     covers: frozenset[Covered]
     approvers: Mapping[str, PublicKey] = field(compare=False)
-    """By name."""
+    """Public key of each approver, by name."""
     text: str = field(repr=False)
     """All of it, as JSON."""
 
@@ -97,7 +97,7 @@ class ApprovalPolicy:
         return parsed(self.text.encode())
 
     def needs(self, kinds: Collection[Covered]) -> tuple[Covered, ...]:
-        """Those of `kinds` that need approvals."""
+        """The kinds of `kinds` that need approvals."""
         return tuple(kind for kind in Covered if kind in kinds and kind in self.covers)
 
     def refuse(self, kinds: Collection[Covered]) -> None:

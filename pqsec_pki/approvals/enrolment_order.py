@@ -75,7 +75,7 @@ class EnrolmentOrder:
     grant: str
     """The digest of the grant."""
     at: datetime
-    """By the clock of the registration authority."""
+    """The time of the order, by the clock of the registration authority."""
     expires: datetime
     items: tuple[OrderedName, ...]
     signature: bytes

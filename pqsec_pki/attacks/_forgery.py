@@ -95,7 +95,7 @@ def issued(
 
 
 def list_of(authority: Authority, revoked: Certificate, now: datetime) -> RevocationList:
-    """That CA's revocation list, with one certificate on it."""
+    """A revocation list of `authority`, with one certificate on it."""
     entry = RevokedCertificate(revoked.serial_number, now, Reason.KEY_COMPROMISE)
     return revocation_list(authority, [entry], number=1, now=now, validity=YEAR)
 

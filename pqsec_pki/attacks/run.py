@@ -109,7 +109,7 @@ class AttackReport:
     """The outcomes of all attacks."""
 
     control: HandshakeReport
-    """The same handshake without an attacker. If it fails, attacks prove nothing."""
+    """The handshake without an attacker. If it fails, attacks prove nothing."""
     outcomes: tuple[AttackOutcome, ...] = ()
 
     @property

@@ -31,7 +31,7 @@ class Environment:
     processor: str
     """The processor's name; empty if the system does not report it."""
     cores: int
-    """That this process may use."""
+    """Processor cores that this process may use."""
     governor: str
     """The frequency governor of the first core; empty if the system does not report it."""
     load: tuple[float, float, float]

@@ -46,7 +46,7 @@ class MeshCase:
 
     @property
     def credentials(self) -> HostCredentials:
-        """Those of its hosts, which cases with other links share."""
+        """The credentials of its hosts, which cases with other links share."""
         return self.plugins, self.profile, self.wire_version
 
     def __str__(self) -> str:

@@ -54,7 +54,7 @@ class MeshPlan:
     timeout: float
     """Seconds in which all hosts of a run should meet."""
     samples: int
-    """That each host then sends."""
+    """Samples that each host then sends."""
     now: datetime
 
 

@@ -18,7 +18,7 @@ Row = Mapping[str, Any]
 Case = tuple[str, ...]
 
 _COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#56b4e9", "#e69f00", "#000000")
-"""Those of Okabe and Ito, which colour-blind people can distinguish."""
+"""The colours of Okabe and Ito, which colour-blind people can distinguish."""
 _STYLES = ("-", "--", ":", "-.")
 _COLUMNS = 3
 _SIDES, _MESSAGES = ("initiator", "responder"), ("request", "reply", "final")
@@ -170,7 +170,7 @@ def _kind(row: Row) -> Case:
 
 
 def _version(of: Mapping[str, Any]) -> Case:
-    """That of the messages, if it is not the first; text or a number."""
+    """The version of the messages (text or a number), if it is not the first."""
     return () if str(of["wire_version"]) in _FIRST else (f"version {of['wire_version']}",)
 
 

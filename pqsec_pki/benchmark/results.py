@@ -66,7 +66,7 @@ class MeasuredSuite:
         return [_sum(each[one].wall for one in operations) for each in self.rounds]
 
     def cpu_ms(self, *operations: Operation) -> list[float]:
-        """The same of the processor."""
+        """Milliseconds of processor time of each round, all operations together."""
         return [_sum(each[one].cpu for one in operations) for each in self.rounds]
 
     def to_json(self, fragment: int) -> dict[str, object]:

@@ -39,7 +39,7 @@ class HandshakeSuite:
     """The version of the messages."""
 
     def in_version(self, version: WireVersion) -> Self:
-        """The same with messages of that version, if there are such with its key agreement."""
+        """This suite with messages of `version`, if its key agreement has such messages."""
         return replace(self, version=version) if self.agreement.binds_transcript else self
 
     @property

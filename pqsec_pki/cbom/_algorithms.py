@@ -137,7 +137,7 @@ def signature_row(assets: Assets, row: SignatureAlgorithm) -> str:
 
 
 def handshake_row(assets: Assets, row: SignatureAlgorithm) -> str:
-    """The same for signatures in handshakes, where RSA keys sign with PSS."""
+    """Like `signature_row`, for signatures in handshakes, where RSA keys sign with PSS."""
     if row.registered.family != "RSASSA-PKCS1":
         return signature_row(assets, row)
     properties = AlgorithmProperties(

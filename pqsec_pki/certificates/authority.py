@@ -82,7 +82,7 @@ class Authority:
         now: datetime,
         validity: timedelta,
     ) -> Self:
-        """The same with keys that are there already.
+        """A new self-signed CA as of `create`, with keys that exist already.
 
         With `host` it is the certificate of a TLS server of that name, which is not a CA.
 
@@ -219,7 +219,7 @@ def _sign(tbs: TBSCertificate, key: PrivateKey, alternative_key: PrivateKey | No
 
 
 def _host_extensions(host: str) -> list[Extension]:
-    """Those of a TLS server, which clients know by its name (RFC 9525)."""
+    """The extensions of a TLS server, which clients know by its name (RFC 9525)."""
     name: x509.GeneralName
     try:
         name = x509.IPAddress(ip_address(host))

@@ -60,7 +60,7 @@ class Certificate:
     _signers: set[bytes] = field(init=False, repr=False, default_factory=set)
     """DER of the keys that were found to have made its signature."""
     _alternative_signers: set[bytes] = field(init=False, repr=False, default_factory=set)
-    """The same of its alternative signature."""
+    """DER of the keys that were found to have made its alternative signature."""
 
     @classmethod
     def from_der(cls, der: bytes) -> Self:
@@ -100,7 +100,7 @@ class Certificate:
 
     @classmethod
     def shared(cls, der: bytes) -> "Certificate":
-        """As `from_der`, but the same value for the same DER while one of them is in use.
+        """Like `from_der`, but the same value for the same DER while that value is in use.
 
         For files, which several questions about a keystore read: each certificate is parsed once,
         and its signature verified once. What a peer sends is parsed each time, with `from_der`.
@@ -117,7 +117,7 @@ class Certificate:
 
     @classmethod
     def from_exact_pem(cls, data: bytes) -> Self | None:
-        """As `from_pem`, if `data` is exactly the `pem` of its certificate; None if it is not."""
+        """Like `from_pem`, if `data` is exactly the `pem` of its certificate; otherwise None."""
         der = exact_der("CERTIFICATE", data) if len(data) <= MAX_CERTIFICATE else None
         return None if der is None else cls.from_der(der)
 

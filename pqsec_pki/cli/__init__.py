@@ -162,7 +162,7 @@ class _Lazy(Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """As click does it, with similar names in the error for an unknown command."""
+        """Resolve like click, with similar names in the error for an unknown command."""
         unknown = args[0] not in COMMANDS and not args[0].startswith("-")
         if unknown and not ctx.resilient_parsing:
             instead = meant(args[0], COMMANDS).replace("did", " Did", 1)

@@ -164,7 +164,7 @@ def _cases(profiles: Sequence[str], given: dict[str, Any]) -> Iterator[MeshCase]
 def _versions(
     plugins: Plugins, profile: str | None, asked: Sequence[str]
 ) -> list[WireVersion | None]:
-    """Those of the messages: of `asked`, or the first with key agreements of stock stacks."""
+    """Versions of the messages: `asked`, or the first for key agreements of stock stacks."""
     if plugins is not Plugins.PQSEC or profile is None:
         return [None]
     has_both = profile_named(profile).key_agreement.binds_transcript

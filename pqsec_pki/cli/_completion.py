@@ -53,7 +53,7 @@ def topics(context: click.Context, parameter: click.Parameter, incomplete: str) 
 
 
 def ros_topics(context: click.Context, parameter: click.Parameter, incomplete: str) -> list[str]:
-    """The same as names of ROS 2 topics: /chatter for rt/chatter."""
+    """Like `topics`, as names of ROS 2 topics: /chatter for rt/chatter."""
     found = topics(context, parameter, "rt/")
     return _offers(incomplete, (each.removeprefix("rt") for each in found))
 

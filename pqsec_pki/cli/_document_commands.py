@@ -26,7 +26,7 @@ Value = TypeVar("Value", bound=PolicyValue)
 
 @dataclass(frozen=True, kw_only=True)
 class DocumentCommands(Generic[Value]):
-    """Those of one kind of document."""
+    """The commands of one kind of document."""
 
     from_yaml: Callable[[bytes], Value]
     to_yaml: Callable[[Value], bytes]

@@ -63,7 +63,7 @@ class _Totals:
     check_pairs: PairsCheck
     summary: Summary = field(default_factory=Summary)
     cells: dict[tuple[str, str], str] = field(default_factory=dict)
-    """For the matrix: (name of the row, name of the column) -> text."""
+    """The matrix: (name of the row, name of the column) -> text."""
     seconds: float = 0.0
 
     def outcomes(self) -> Iterator[PairOutcome]:

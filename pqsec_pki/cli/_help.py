@@ -34,7 +34,7 @@ class Command(click.Command):
         return HELP_OPTIONS
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
-        """As click does it; every usage error knows its command, for the hint."""
+        """Parse like click; every usage error has its command, for the hint."""
         try:
             return super().parse_args(ctx, args)
         except click.UsageError as error:

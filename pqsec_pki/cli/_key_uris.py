@@ -40,7 +40,7 @@ def options(command: _settings.Command) -> _settings.Command:
 
 
 def participant_options(command: _settings.Command) -> _settings.Command:
-    """The same for a participant's keys, and `given_for_participant`."""
+    """Add an option for the URI of each of a participant's keys; see `given_for_participant`."""
     return _added(command, _PARTICIPANT)
 
 
@@ -69,7 +69,7 @@ def given() -> Uris:
 
 
 def given_for_participant() -> Uris:
-    """The same, for a participant's keys."""
+    """The URIs of a participant's keys on the command line, by the names of the keys' files."""
     from pqsec_pki.credentials import KEYS  # noqa: PLC0415 -- not for --help
 
     return _said(_PARTICIPANT, KEYS)
@@ -116,8 +116,8 @@ def participants_own(profile: "Profile", uris: Uris) -> Iterator[dict[str, "Priv
 
 
 def note_participant(profile: "Profile", uris: Uris, generated: Collection[str]) -> None:
-    """As `note_places`; also that the alternative key is in a file, if no option names its
-    place."""
+    """Like `note_places`; also note that the alternative key is in a file, if no option has its
+    URI."""
     from pqsec_pki.credentials import ALT_KEY, KEY  # noqa: PLC0415 -- not for --help
 
     note_places(uris, generated)

@@ -88,7 +88,7 @@ def _participants(
 
 
 def _counts(root: str, keystore: Keystore, standing: Status) -> Iterator[Sample]:
-    """For each profile and domains all states, also with 0: an alert on a number then ends."""
+    """All states for each profile and domains, also with 0: an alert on a number then ends."""
     found = Counter(
         (each.profile or "", each.domains or "", each.state) for each in standing.participants
     )

@@ -15,7 +15,7 @@ def named(
     *,
     where: str = "in the keystore",
 ) -> list[str]:
-    """As `Keystore.named`; a note names the members of groups that are not in `known`."""
+    """Like `Keystore.named`; a note names the members of groups that are not in `known`."""
     found = keystore.named(names, known)
     if groups := [name for name in names if name.startswith(GROUP)]:
         members = keystore.groups

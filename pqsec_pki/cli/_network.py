@@ -88,7 +88,7 @@ class FailedError(PqsecError):
 
     @property
     def lines(self) -> tuple[str, ...]:
-        """Those of each error."""
+        """The lines of all errors."""
         return tuple(line for each in self.errors for line in each.lines)
 
 

@@ -13,9 +13,9 @@ import click
 from pqsec_pki.cli._settings import Command
 
 _WANTED = f"{__name__}.wanted"
-"""In a context's `meta`."""
+"""The key in a context's `meta`."""
 _LESS = "FRX"
-"""As git has it: end if all fits on the screen, show colours, and leave the text there."""
+"""The options of git: end if all fits on the screen, show colours, leave the text there."""
 
 
 def option(command: Command) -> Command:

@@ -145,7 +145,7 @@ class ParticipantOptions:
 
     @classmethod
     def of(cls, *, policy: Path | None, validity: timedelta, **topics: Any) -> Self:
-        """From the options. UsageError for an invalid ROS name, or topics and --policy."""
+        """Values of the options. UsageError for an invalid ROS name, or topics and --policy."""
         publish, subscribe = topics_of(**topics)
         if policy and (publish or subscribe):
             raise UsageError("--policy and topics exclude each other")

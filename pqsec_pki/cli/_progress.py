@@ -25,7 +25,7 @@ class _Line:
     since = 0.0
     """When the command began, or its user last read something."""
     hidden = 0
-    """By how many blocks."""
+    """The number of blocks that hide the line."""
     is_drawn = False
 
 

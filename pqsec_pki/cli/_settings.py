@@ -147,7 +147,7 @@ class Duration(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
 
 
 class WaitingTime(Duration):
-    """For how long a command waits, such as 90s, 5m or 12h."""
+    """The time for which a command waits, such as 90s, 5m or 12h."""
 
     units: Mapping[str, timedelta] = {
         **{unit: UNITS[unit] for unit in "hd"},

@@ -11,7 +11,7 @@ from pqsec_pki._times import said
 from pqsec_pki.cli import _settings
 
 _SAID = re.compile(r"\b([0-9]{4}-[0-9]{2}-[0-9]{2} [0-9]{2}:[0-9]{2}(:[0-9]{2})?) UTC\b")
-"""As `pqsec_pki._times` writes it."""
+"""A time as `pqsec_pki._times` writes it."""
 _SOON = timedelta(days=2)
 _FOR_PROGRAMS = re.compile(r'("|^)([0-9]{4}-[0-9]{2}-[0-9]{2}T[0-9:.]{8,15})\+00:00("|$)')
 

@@ -89,7 +89,7 @@ def _label(text: str) -> str:
 
 
 def _nothing(_rows: Sequence[Placed], _count: int) -> Iterator[str]:
-    """For forms that print values."""
+    """No lines: for forms that print values."""
     yield from ()
 
 

@@ -229,7 +229,7 @@ class _CaPassphrases:
     none: bool
 
     def new(self) -> bytes | None:
-        """For new CAs; None if their keys are left unencrypted."""
+        """The passphrase for new CAs; None if their keys stay unencrypted."""
         return _passphrases.new(self.file, none=self.none)
 
     def opened(

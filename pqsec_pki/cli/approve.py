@@ -149,5 +149,5 @@ def read_approval(path: Path) -> Approval:
 
 
 def approval_path(plan: Path, name: str) -> Path:
-    """Where the approval by that approver is, unless it is said."""
+    """The path of the approval by that approver, unless an option names it."""
     return plan.with_name(f"{plan.name}.{name}.approval")

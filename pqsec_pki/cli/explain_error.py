@@ -17,7 +17,7 @@ MAX_LOG = 16 << 20
 MOST_ALIKE = 3
 """The most explanations of one message with different values, such as many peers."""
 STACKS = [each.value for each in Stack if each is not Stack.CONNEXT]
-"""Those whose messages are known."""
+"""The stacks whose messages pqsec knows."""
 
 
 @_help.command(

@@ -226,7 +226,7 @@ def _row(line: Line) -> tuple[str, ...]:
 
 
 def _when(entry: Entry) -> str:
-    """For people; of a damaged line what it has."""
+    """The time, for people; for a damaged line, the text that it has."""
     try:
         return said(entry.made_at)
     except KeystoreError:

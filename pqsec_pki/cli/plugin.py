@@ -19,7 +19,7 @@ OPENDDS = Stack.OPENDDS.value
 
 
 def default_folder() -> Path:
-    """Where the plugin is unless said otherwise; FileError if the user has no home."""
+    """The plugin's folder without an option; FileError if the user has no home."""
     return home() / DEFAULT_FOLDER
 
 

@@ -50,7 +50,7 @@ def uninstall(folders: tuple[Path, ...], *, listed: bool) -> None:
 
 
 def _keystores() -> list[Path]:
-    """That which is named, as other commands find theirs."""
+    """The keystore that an option or a variable names, as for other commands."""
     with suppress(UsageError):
         path = _settings.keystore_path()
         return [path] if exists(path) else []

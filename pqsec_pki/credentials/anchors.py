@@ -155,7 +155,7 @@ class TrustAnchors:
             )
 
     def own_identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
-        """The same for a participant's own certificate, which the first CA must have issued.
+        """Like `identity_problems`, for the own certificate, which the first CA must have issued.
 
         No signature covers the order of the CAs in a file, and stacks that read only one
         certificate read the first.

@@ -69,7 +69,7 @@ def each(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...]:
 
 
 def one_or_more(item: Item, reader: Callable[[Item], Value]) -> tuple[Value, ...]:
-    """As `each`, but a single item may be given without a list."""
+    """Like `each`, but a single item needs no list."""
     return each(item, reader) if isinstance(item, Items) else (reader(item),)
 
 

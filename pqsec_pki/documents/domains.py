@@ -83,7 +83,7 @@ class DomainSet:
 
     @property
     def words(self) -> str:
-        """With the noun: `domain 0`, `domains 0-3`."""
+        """The domains with the noun: `domain 0`, `domains 0-3`."""
         return f"{self.noun} {self}"
 
     def ids(self) -> list[int]:

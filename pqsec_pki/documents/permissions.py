@@ -217,7 +217,7 @@ def _of_plain(text: _plain.PlainText) -> Permissions:
 
 
 def permissions_in_elements(xml: bytes) -> Permissions:
-    """As `Permissions.from_xml`, by the XML parser and the schema, whatever the form."""
+    """Like `Permissions.from_xml`, with the XML parser and the schema, for any form."""
     # The schema fixes the number and order of the children, so they are found by position.
     [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
     return Permissions(grants=tuple(map(_grant, grants)))

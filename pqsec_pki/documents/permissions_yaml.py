@@ -170,7 +170,7 @@ def duration(item: Item) -> timedelta:
 
 
 def lasting(now: datetime, duration: timedelta) -> tuple[datetime, datetime]:
-    """From BACKDATE before now to the end of the duration; UsageError for an end after 9999."""
+    """BACKDATE before now, and the end of the duration; UsageError for an end after 9999."""
     try:
         return now - BACKDATE, now + duration
     except OverflowError:

@@ -29,7 +29,7 @@ class Preset:
     costs: str
     """What it does not protect, and its cost in bytes and processing."""
     rule: DomainRule
-    """For domain 0, with one topic rule for all topics."""
+    """The rule for domain 0, with one topic rule for all topics."""
 
     @property
     def topic_rule(self) -> TopicRule:

@@ -8,7 +8,7 @@ _PARTS = re.compile(r"\{[^}]*\}|[0-9]+")
 _MAX_NUMBERS = 4
 """Numbers of a name, from its end, that become ranges."""
 _MAX_DIGITS = 9
-"""As in the patterns that domain.yaml reads."""
+"""The limit of the patterns that domain.yaml reads."""
 
 
 def patterns_of(names: Iterable[str]) -> list[str]:

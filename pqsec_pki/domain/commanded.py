@@ -32,7 +32,7 @@ class CommandReview:
 
     words: tuple[str, ...]
     files: tuple[Path, ...]
-    """That the words name, and that are there."""
+    """Files that the words name and that exist."""
     kind: Covered
     rights: tuple[ChangedRights, ...]
 

@@ -47,7 +47,7 @@ class Role:
 
     label: str
     item: YamlMapping = field(repr=False)
-    """With ROLE_KEYS only."""
+    """The mapping of the role, with ROLE_KEYS only."""
     placeholders: frozenset[str]
     """The names of its placeholders."""
     digest: str
@@ -79,7 +79,7 @@ class Member:
     domains: DomainSet
     validity: timedelta
     values: Mapping[str, str]
-    """For the placeholders of its role, without those that each participant has."""
+    """Values of its role's placeholders, without the placeholders that each participant has."""
     source: Path
     """The domain file, for errors in its role."""
     request: Path | None = None
@@ -87,7 +87,7 @@ class Member:
     by_order: bool = False
     """Whether the request must be in an order of a registration authority, within its grant."""
     device: Device | None = None
-    """With whose certificate it may enrol at the server; None for none."""
+    """The device whose certificate lets it enrol at the server; None without one."""
 
     @property
     def config_digest(self) -> str:
@@ -122,9 +122,9 @@ class Desired:
     """None for a third of a certificate's validity."""
     governance: Governance
     roles: Mapping[str, Role]
-    """By name."""
+    """Roles by name."""
     members: Mapping[str, Member]
-    """By name."""
+    """Members by name."""
     groups: Mapping[str, tuple[str, ...]]
     """Members by the group's name, sorted."""
     prune: bool

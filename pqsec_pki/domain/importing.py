@@ -133,7 +133,7 @@ class _Writer:
     participants: Sequence[FoundParticipant]
     governance: Governance | None
     groups: dict[SharedRules, list[FoundParticipant]]
-    """Those with the same rules, which share a role."""
+    """Participants with the same rules, which share a role."""
     named_groups: dict[str, list[str]]
     """The groups of keystores."""
 
@@ -249,7 +249,7 @@ def _only(values: Iterable[Value]) -> Value | None:
 
 
 def _duration(validity: timedelta) -> str:
-    """As in the file: 1y, 90d or 12h."""
+    """The duration as the file has it: 1y, 90d or 12h."""
     hours = validity // timedelta(hours=1)
     for unit, size in (("y", 365 * 24), ("d", 24)):
         if hours % size == 0:

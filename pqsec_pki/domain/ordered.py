@@ -103,7 +103,7 @@ def perform_order(
 def _specs(
     asked: SignRequest, order: EnrolmentOrder, grant: RegistrationGrant, keystore: Keystore
 ) -> tuple[ParticipantSpec, ...]:
-    """With the rights of the grant's roles, and the keys of the requests that were ordered."""
+    """Participants with the rights of the grant's roles, and the keys of the ordered requests."""
     names = [each.name for each in order.items]
     if [each.fingerprint for each in asked.requests] != [each.request for each in order.items]:
         raise VerificationError(

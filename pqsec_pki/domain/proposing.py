@@ -95,7 +95,7 @@ class PlanReview:
             yield name, permissions_diff(None, Permissions(grants=(grant,)))
 
     def _signed(self) -> Iterator[tuple[str, Difference]]:
-        """By participant; the governance has an empty name."""
+        """Differences by participant; the governance has an empty name."""
         for name in self._named(StepAction.SIGN_GOVERNANCE):
             yield name, changed_protection(self.keystore, self.desired.governance)
         names = self._named(StepAction.SIGN_PERMISSIONS)

@@ -15,7 +15,7 @@ class StepAction(StrEnum):
     SIGN_GOVERNANCE = "sign-governance"
     STORE_GROUPS = "store-groups"
     ENROL = "enrol"
-    """By order of a registration authority, within its grant; all of an order is one change."""
+    """Enrol by an order of a registration authority, within its grant; an order is one change."""
     ISSUE = "issue"
     REPLACE = "replace"
     SIGN_PERMISSIONS = "sign-permissions"

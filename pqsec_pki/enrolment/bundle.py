@@ -53,7 +53,7 @@ class Bundle:
     """The number of the newest ledger line among its files (`BundleNumbers`). Only a label: the
     manifest is not signed. None in bundles of earlier versions."""
     proof: LedgerProof | None = field(default=None, repr=False)
-    """That the ledger has the certificates and documents of all enclaves."""
+    """The proof that the ledger has the certificates and documents of all enclaves."""
 
     @classmethod
     def of(
@@ -178,7 +178,7 @@ def name_of(flat: str) -> str:
 
 
 def bundle_path(folder: Path, name: str) -> Path:
-    """Where the bundle of the participant is written: fleet+robot1.bundle for /fleet/robot1."""
+    """The path of the participant's bundle: fleet+robot1.bundle for /fleet/robot1."""
     return folder / f"{flat_name(name)}.bundle"
 
 

@@ -62,7 +62,7 @@ class InstalledSet:
 
     path: Path
     at: datetime
-    """When it was installed."""
+    """The time of installation."""
     previous: str | None
     """The name of the set that it replaced."""
     numbers: Mapping[str, int] = field(default_factory=dict)
@@ -194,7 +194,7 @@ class CredentialStore:
 
     @property
     def receipt(self) -> Path:
-        """Where the receipt of the current set is."""
+        """The path of the receipt of the current set."""
         return self.root / RECEIPT
 
     def save_receipt(self, receipt: bytes) -> None:

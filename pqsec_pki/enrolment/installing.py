@@ -44,7 +44,7 @@ class Installed:
 
     names: tuple[str, ...]
     not_after: datetime
-    """When the first of its certificates expires."""
+    """The time at which the first of its certificates expires."""
     current: Path
     """The link to the current set."""
     already: bool

@@ -56,7 +56,7 @@ class SignRequest:
     sha256: str = ""
     """SHA-256 of the file it was read from, in hex."""
     order: EnrolmentOrder | None = None
-    """By a registration authority: what its grant says decides."""
+    """The order of a registration authority, whose grant decides; None without one."""
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:

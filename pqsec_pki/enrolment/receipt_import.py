@@ -80,7 +80,7 @@ def record_receipts(
     now: datetime,
     older: bool = False,
 ) -> list[ImportedReceipt]:
-    """As `import_receipts`, with the content of each file; the paths are for messages."""
+    """Like `import_receipts`, with the content of each file; the paths are for messages."""
     found, problems = _read(files)
     with keystore.hold():
         with keystore.open_ledger() as ledger:
@@ -118,7 +118,7 @@ class _Records:
     recorded: set[str]
     """SHA-256 of all receipts."""
     newest: dict[str, datetime]
-    """When the newest receipt of each participant was made."""
+    """The time at which each participant made its newest receipt."""
 
     @classmethod
     def of(cls, keystore: Keystore, ledger: Ledger) -> Self:

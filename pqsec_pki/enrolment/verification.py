@@ -34,7 +34,7 @@ class VerifiedBundle:
     credentials: tuple[Credentials, ...]
     verified: tuple[VerifiedCredentials, ...]
     proofs: Mapping[str, LedgerProof]
-    """By participant, where there is one."""
+    """Proofs by participant; a participant may have none."""
 
     @property
     def files(self) -> dict[str, dict[str, bytes]]:

@@ -73,5 +73,5 @@ class KnownServer:
         write(root / FILE, data, private=True, force=True)
 
     def with_receipt(self, sha256: str) -> "KnownServer":
-        """The same, when it has the receipt with that hash."""
+        """This server, after it received the receipt with that hash."""
         return replace(self, receipt=sha256)

@@ -25,7 +25,7 @@ from pqsec_pki.tokens import is_reference
 GROUP = "X25519MLKEM768"
 """The key agreement of draft-ietf-tls-ecdhe-mlkem, which OpenSSL 3.5 and later prefer."""
 _TLS12_CIPHERS = b"ECDHE+AESGCM:ECDHE+CHACHA20"
-"""For peers with TLS 1.2, where they are allowed: forward secrecy and AEAD only."""
+"""Ciphers for peers with TLS 1.2, if the settings allow them: forward secrecy and AEAD."""
 _SESSION = b"pqsec"
 _WHY = {9: "it is not valid yet", 10: "it has expired"}
 """Errors of X509_verify_cert that a clock can cause."""
@@ -166,7 +166,7 @@ def _context(method: int, *, classical: bool) -> SSL.Context:
 
 
 def _use(context: SSL.Context, identity: TlsIdentity) -> None:
-    """From memory files: the other calls take no ML-DSA keys, and no chain for each key."""
+    """Load from memory files: other calls take no ML-DSA keys, and no chain for each key."""
     try:
         with _in_memory(identity.chain) as path:
             context.use_certificate_chain_file(path)
@@ -233,5 +233,5 @@ def _authorities(pem: bytes) -> list[x509.Certificate]:
 
 
 def _certificate(found: crypto.X509) -> Certificate:
-    """As OpenSSL read it, parsed again; MalformedError where OpenSSL takes more than we do."""
+    """The certificate, parsed again; MalformedError if OpenSSL accepts it and pqsec does not."""
     return Certificate.from_der(crypto.dump_certificate(crypto.FILETYPE_ASN1, found))

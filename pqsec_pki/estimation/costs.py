@@ -54,7 +54,7 @@ class Costs:
 
     @property
     def in_second_version(self) -> "Costs":
-        """The same of handshakes with messages of the second version."""
+        """The costs of handshakes with messages of the second version."""
         initiator, responder = self.initiator + SECOND_MS, self.responder + SECOND_MS
         return replace(self, initiator=initiator, responder=responder)
 

@@ -47,7 +47,7 @@ class Estimate:
 
     @property
     def notes(self) -> Iterator[str]:
-        """Where the models stop, in this scenario."""
+        """The limits of the models in this scenario."""
         if self.scenario.overflows:
             yield (
                 f"incomplete datagrams may need {self.scenario.in_reassembly} bytes in a host, over"
@@ -115,7 +115,7 @@ class Estimate:
             yield Advice(words, after)
 
     def to_json(self) -> dict[str, object]:
-        """For --json."""
+        """The estimate for --json."""
         simulation = self.simulation
         return {
             **self.scenario.to_json(),
@@ -134,12 +134,12 @@ class Estimate:
 
 
 def estimated(scenario: Scenario, seed: int, second: MessageSizes | None = None) -> Estimate:
-    """By both models; the same for the same seed."""
+    """The estimate by both models; the same for the same seed."""
     return Estimate(scenario, ClosedForm.of(scenario), simulated(scenario, seed), second)
 
 
 def _times(model: ClosedForm | Simulated, digits: int) -> dict[str, object]:
-    """The same questions to either model; shares of pairs with so many digits."""
+    """The times of a model, for --json; shares of pairs have `digits` digits."""
     return {
         "mesh_median_s": _rounded(model.mesh(0.5)),
         "mesh_p95_s": _rounded(model.mesh(0.95)),

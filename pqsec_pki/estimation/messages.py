@@ -30,7 +30,7 @@ _TYPICAL_SECOND = {"transition": 9530, "hybrid": 9340, "pq": 9120, "cnsa2": 1240
 
 
 def sizes_of(profile: Profile, version: WireVersion = WireVersion.FIRST) -> MessageSizes:
-    """Those of participants with one topic to publish and one to subscribe to."""
+    """Sizes for participants with one topic to publish and one to subscribe to."""
     if version is WireVersion.SECOND:
         return _second(profile, _TYPICAL_SECOND[profile.name])
     return _sizes(profile, *_TYPICAL[profile.name])
@@ -39,7 +39,7 @@ def sizes_of(profile: Profile, version: WireVersion = WireVersion.FIRST) -> Mess
 def sizes_in(
     keystore: Keystore, version: WireVersion = WireVersion.FIRST
 ) -> Iterator[MessageSizes]:
-    """Those of each participant of the keystore, by its certificate and permissions.
+    """Sizes for each participant of the keystore, by its certificate and permissions.
 
     KeystoreError if a participant lacks a file or has messages that no peer reads, FileError if a
     file cannot be read, MalformedError if the second version cannot carry a document.

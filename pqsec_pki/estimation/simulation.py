@@ -1,4 +1,4 @@
-"""The same fleet by discrete events: announcements, messages, timers, processors, memory.
+"""Simulates the fleet by discrete events: announcements, messages, timers, processors, memory.
 
 A fleet with too many pairs is represented by a smaller one, whose participants do the
 same work and have the same memory for each peer: the work, not the number of peers, decides when
@@ -164,7 +164,7 @@ class _Run:
         return participant % self._scenario.host_count
 
     def _work(self, participant: int, now: float, milliseconds: float) -> float:
-        """When the host of `participant` has done it, in the order of arrival."""
+        """The time at which the host of `participant` has done it, in the order of arrival."""
         cores = self._free[self._host(participant)]
         end = max(now, cores[0]) + milliseconds / _MILLI
         heapreplace(cores, end)

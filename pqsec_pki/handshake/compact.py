@@ -90,7 +90,7 @@ FIRST_ONLY = (WireVersion.FIRST,)
 
 
 def version_of(found: Mapping[str, bytes]) -> WireVersion:
-    """That of the message with the binary properties `found`; VerificationError if unknown."""
+    """The version of a message with the properties `found`; VerificationError if unknown."""
     if VERSION not in found:
         return WireVersion.FIRST
     if found[VERSION] != WireVersion.SECOND.mark[0][1]:

@@ -26,7 +26,7 @@ class MessageConventions:
     reads_request_names: bool | None = None
     """Whether names in a Request must (True), must not (False) or may (None) end in NUL."""
     reads_reply_names: bool | None = None
-    """The same for a Reply."""
+    """Whether names in a Reply must (True), must not (False) or may (None) end in NUL."""
     needs_in_reply: tuple[str, ...] = ()
     """Optional properties that this reader requires in a Reply."""
 

@@ -77,7 +77,7 @@ class KeyMaterial:
         return cls(kind=kind, salt=salt, sender_key_id=_new_key_id(), sender_key=key)
 
     def for_receiver(self) -> Self:
-        """The same with a new receiver key, for one receiver only: for origin authentication.
+        """This key with a new receiver key, for one receiver only: for origin authentication.
 
         All receivers have the sender's key and could use it; only this receiver has both keys.
         """

@@ -65,7 +65,7 @@ class Introduction:
 
     @classmethod
     def of(cls, found: Mapping[str, bytes], version: WireVersion) -> Self:
-        """That of a message with the binary properties `found`, which has all of NAMES."""
+        """The introduction in the binary properties `found`, which have all of NAMES."""
         certificate, permissions, data, signature, agreement = (found[name] for name in cls.NAMES)
         return cls(certificate, permissions, data, signature, agreement, version)
 
@@ -87,7 +87,7 @@ class Introduction:
         return hashlib.sha256(encode_properties(covered)).digest()
 
     def in_second_version(self) -> Self:
-        """The same, as a message of the second version has it.
+        """This introduction, as a message of the second version has it.
 
         MalformedError if the permissions are not a signed document that it can carry.
         """
@@ -217,7 +217,7 @@ class Request(_Message):
 
     @property
     def version(self) -> WireVersion:
-        """That of its introduction."""
+        """The version of its introduction."""
         return self.introduction.version
 
 
@@ -239,7 +239,7 @@ class Reply(_Message):
 
     @property
     def version(self) -> WireVersion:
-        """That of its introduction."""
+        """The version of its introduction."""
         return self.introduction.version
 
 

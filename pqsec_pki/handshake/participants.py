@@ -88,7 +88,7 @@ class Discovered:
 
     guid: bytes | None = None
     future_challenge: bytes | None = None
-    """From the peer's AuthRequest."""
+    """The future challenge in the peer's AuthRequest."""
 
 
 NOTHING = Discovered()

@@ -110,7 +110,7 @@ class ReplySent:
         return self._outcome.peer
 
     def sharing(self, permissions: bytes) -> Self:
-        """The same state with `permissions` as the object for the peer's permissions document.
+        """This state with `permissions` as the object for the peer's permissions document.
 
         It must equal the peer's, so that many states share one copy; ValueError if not.
         """

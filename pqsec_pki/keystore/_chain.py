@@ -42,8 +42,8 @@ class Entry:
     issuer: str | None = None
     """SHA-256 of the CA's certificate; of participants, revocations and revocation lists."""
     details: dict[str, str] = field(default_factory=dict)
-    """By kind: profile and domains of a participant, reason of a revocation, number of a
-    revocation list."""
+    """By the kind of line: profile and domains of a participant, reason of a revocation, number of
+    a revocation list."""
     operator: str | None = None
     """Who ran the command: PQSEC_OPERATOR, or the system's name of the user; None in lines of
     format 1."""
@@ -131,7 +131,7 @@ class Line:
     """An entry with its number and its chain value."""
 
     number: int
-    """From 1, without gaps."""
+    """The line number, from 1, without gaps."""
     entry: Entry
     chain: str
     """SHA-256, in hex, over the previous chain value and this line."""

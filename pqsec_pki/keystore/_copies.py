@@ -26,7 +26,7 @@ class CopyKey(NamedTuple):
     version: tuple[int, ...] = ()
     """The version of a file, as of `file_version`; empty for a database."""
     changed: int = 0
-    """When the file was last changed, in nanoseconds; 0 for a database."""
+    """The time of the file's last change, in nanoseconds; 0 for a database."""
 
     def shows_changes_after(self, moment: int) -> bool:
         """Whether any change after `moment` gives another key."""

@@ -15,7 +15,7 @@ class FileStore:
     """The database file in the folder `private`."""
 
     def __init__(self, private: Folder, *, begin: bool = False) -> None:
-        """With `begin` the file may be missing; otherwise it was lost."""
+        """With `begin` the file may be missing; otherwise a missing file is an error."""
         self._private, self._begin = private, begin
         self.place = f"{private.path}/{layout.LEDGER}"
 

@@ -28,7 +28,7 @@ class Folder:
 
     handle: int
     path: str
-    """For messages only."""
+    """The path, for messages only."""
 
     @classmethod
     @contextmanager

@@ -214,7 +214,7 @@ def _sweep(root: Folder) -> None:
 
 @contextmanager
 def _disk_errors(root: Path) -> Iterator[None]:
-    """As `disk_errors`; names the keystore where the error has a descriptor or relative name."""
+    """Like `disk_errors`; names the keystore if the error has a descriptor or relative name."""
     with disk_errors(root):
         try:
             yield

@@ -204,7 +204,7 @@ class Ledger:
             return self._database.execute(_CERTIFIED, asked).fetchall()
 
     def participants(self, names: Collection[str] | None = None) -> Iterator[tuple[Any, ...]]:
-        """For each participant, or each in `names`, what its newest lines say, sorted by name.
+        """The content of the newest lines of each participant, or each in `names`, sorted by name.
 
         Name; SHA-256, serial, time, end and issuer of its newest certificate; how many requests
         were answered; profile, domains, keys and config digest; SHA-256 and line number of the

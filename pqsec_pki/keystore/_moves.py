@@ -52,7 +52,7 @@ class Commitment:
 @dataclass(frozen=True, slots=True)
 class _Moves:
     targets: list[str]
-    """Where the folders 0, 1, ... go."""
+    """The targets of the folders 0, 1, ..."""
     links: list[tuple[str, str]]
     removed: list[str]
     entries: list[Entry]

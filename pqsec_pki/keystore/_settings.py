@@ -41,7 +41,7 @@ def read_settings(path: Path) -> tuple[Profile, DomainSet]:
 
 
 def read_ledger(path: Path) -> LedgerAddress | None:
-    """Where the ledger is, by the settings in `path`; None if it is a file, or without settings.
+    """The ledger's address in the settings at `path`; None for a file, or without settings.
 
     Errors as of `read_settings`.
     """

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class _Connections(threading.local):
-    """Those of this thread, by process and keystore; a fork has none."""
+    """The connections of this thread, by process and keystore; a fork has none."""
 
     def __init__(self) -> None:
         self.open: dict[tuple[int, Path], PostgresLedger] = {}
@@ -86,7 +86,7 @@ def _connection(
 def writing(
     root: Path, address: LedgerAddress | None = None, *, hold: bool = False, keep: bool = False
 ) -> "Iterator[PostgresLedger | None]":
-    """The same, for a caller that has locked the keystore: no other machine can then add lines.
+    """Like `reading`, for a caller that locked the keystore: no other machine can add lines.
 
     With `address` it is that database, whatever the settings say. With `hold` the block may make
     any number of changes, each a transaction of its own; with `keep` its connection stays open for

@@ -1,4 +1,4 @@
-"""Where the lines of a ledger are kept: what `Ledger` and the journal need of such a place."""
+"""Storage of the lines of a ledger: the interface that `Ledger` and the journal need."""
 
 import sqlite3
 from typing import Protocol

@@ -75,7 +75,7 @@ class Transaction:
     removed: list[str] = field(default_factory=list)
     entries: list[Entry] = field(default_factory=list)
     database: "PostgresLedger | None" = None
-    """Where the ledger is, if it is not in a file; no other machine adds lines meanwhile."""
+    """The ledger, if it is not in a file; no other machine adds lines meanwhile."""
     committed_by: tuple[int, str] | None = None
     """Number and chain value of the line whose commit in the database is that of the change."""
     begins_ledger: bool = False

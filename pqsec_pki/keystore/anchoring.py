@@ -119,14 +119,14 @@ def ledger_tree(keystore: Keystore) -> MerkleTree:
 
 
 def faults_of_ledger(keystore: Keystore) -> list[str]:
-    """Where the ledger differs from the newest head in the keystore; empty if nowhere."""
+    """Differences of the ledger from the newest head in the keystore; empty without any."""
     return [*head_problems(keystore, ledger_tree(keystore), _NONE)]
 
 
 def head_problems(
     keystore: Keystore, tree: MerkleTree, anchors: Mapping[Path, HeadExtension]
 ) -> Iterator[str]:
-    """Where the ledger, with that tree, differs from what the CAs signed heads of.
+    """Differences of the ledger, with that tree, from the heads that the CAs signed.
 
     The heads are the newest one in the keystore, and `anchors`.
     """

@@ -45,11 +45,11 @@ class SigningCa(StrEnum):
 
     IDENTITY = "identity CA"
     PERMISSIONS = "permissions CA"
-    """With its countersigner."""
+    """Includes its countersigner."""
 
     @property
     def label(self) -> str:
-        """For options and files: identity or permissions."""
+        """The name in options and files: identity or permissions."""
         return self.name.lower()
 
     @property

@@ -15,7 +15,7 @@ from pqsec_pki.errors import KeystoreError, UsageError, other_format
 from pqsec_pki.keystore.layout import GROUPS, enclave_name
 
 GROUP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
-"""As one part of a participant's name, so that no shell changes it."""
+"""The syntax of one part of a participant's name: no shell changes it."""
 _FORMAT = 1
 _LIMIT = 64 << 20
 """Bytes: 1,000,000 names of 64 characters, the most that a domain file may put into groups."""

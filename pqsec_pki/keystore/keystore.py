@@ -131,7 +131,7 @@ class Keystore:
 
     @classmethod
     def find(cls, root: Path, *, to_change: bool = False) -> Self | None:
-        """As `open`, but None if the folder `root` has no part of a keystore."""
+        """Like `open`, but None if the folder `root` has no part of a keystore."""
         try:
             return cls.open(root, to_change=to_change)
         except KeystoreError as error:
@@ -400,7 +400,7 @@ class Keystore:
 
     @property
     def ledger_address(self) -> LedgerAddress | None:
-        """Where the ledger is, if it is not in a file of this keystore."""
+        """The address of the ledger, if it is not in a file of this keystore."""
         return _settings.read_ledger(self.root / layout.SETTINGS)
 
     def open_ledger(self) -> Ledger:

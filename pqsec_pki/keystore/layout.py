@@ -119,13 +119,13 @@ LIST_TARGET = {LIST: f"{PUBLIC}/{CA_LIST}"}
 
 
 def shared_links(name: str, shared: dict[str, str]) -> dict[str, str]:
-    """For each link in `name`'s folder, its relative target."""
+    """Link in `name`'s folder -> its relative target."""
     up = "../" * len(PurePosixPath(enclave_folder(name)).parts)
     return {link: up + target for link, target in shared.items()}
 
 
 def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, str]:
-    """Those of `shared_links` that are missing in the keystore at `root`, or lead elsewhere."""
+    """The links of `shared_links` that the keystore at `root` lacks, or that lead elsewhere."""
     folder = f"{root}/{enclave_folder(name)}"
     return {
         link: target
@@ -135,7 +135,7 @@ def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, st
 
 
 def _goal(path: str) -> str | None:
-    """Where the link at `path` leads; None if there is none."""
+    """The target of the link at `path`; None if there is no link."""
     try:
         return os.readlink(path)  # noqa: PTH115 -- for thousands of links
     except OSError:
@@ -152,7 +152,7 @@ def names_in(root: Path) -> list[str]:
 
 
 def enclaves_in(root: Path) -> tuple[list[str], list[str]]:
-    """The same, and those with files of a participant but no certificate, sorted."""
+    """The enclaves of `names_in`, and folders with a participant's files but no certificate."""
     names, incomplete = list[str](), list[str]()
     for name, files in _enclaves_in(root):
         if CERTIFICATE in files and exists(f"{root}/{ENCLAVES}{name}/{CERTIFICATE}"):

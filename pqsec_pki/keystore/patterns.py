@@ -38,7 +38,7 @@ def expanded(
 
 
 def matching(pattern: str, known: Iterable[str]) -> list[str]:
-    """Those of `known` that the pattern matches, in their order."""
+    """The names of `known` that the pattern matches, in their order."""
     pieces = re.split(r"(\*\*?)", _whole(pattern))
     compiled = re.compile("".join(_PARTS.get(each) or re.escape(each) for each in pieces))
     return [name for name in known if compiled.fullmatch(name)]

@@ -20,9 +20,9 @@ class LedgerProofs:
     checkpoint: Checkpoint
     tree: MerkleTree = field(repr=False)
     ledger: Ledger = field(repr=False)
-    """It is open."""
+    """The open ledger."""
     _found: dict[tuple[str, str], ProvenLine | None] = field(default_factory=dict, repr=False)
-    """By kind and SHA-256: bundles share the governance."""
+    """Lines by kind and SHA-256: bundles share the governance."""
 
     @classmethod
     def of(cls, root: Path, ledger: Ledger, tree: MerkleTree | None = None) -> Self | None:

@@ -40,7 +40,7 @@ class Receipt:
     """SHA-256 of each file, in hex, by its name; never of a private key."""
     installed_at: datetime
     made_at: datetime
-    """When the robot made the receipt, by its clock."""
+    """The time when the robot made the receipt, by its clock."""
     pqsec: str
     """The version that made it."""
 

@@ -72,7 +72,7 @@ class RobotState:
 
     @property
     def installed_at(self) -> datetime | None:
-        """When the robot installed it; None without a receipt."""
+        """The time when the robot installed it; None without a receipt."""
         return self.receipt.installed_at if self.receipt else None
 
     def to_json(self) -> dict[str, object]:

@@ -26,7 +26,7 @@ class RequestRow(NamedTuple):
     known: str
     """JSON of the server."""
     asked: str
-    """When it was last sent, in ISO 8601 with its zone."""
+    """The time when it was last sent, in ISO 8601 with its zone."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,7 +61,7 @@ class Status:
         domain: int | None = None,
         expires_before: datetime | None = None,
     ) -> "Status":
-        """The same with those participants only to which all of these apply; None is any."""
+        """This status with only the participants to which all of these apply; None is any."""
         found = (
             each
             for each in self.participants

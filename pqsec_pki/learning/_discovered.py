@@ -30,7 +30,7 @@ class DiscoveredParticipant:
     endpoints: dict[Endpoint, None] = field(default_factory=dict)
 
     def seen(self) -> SeenParticipant:
-        """With its name: its enclave, else its first node."""
+        """The participant with its name: its enclave, else its first node."""
         nodes = tuple(dict.fromkeys(filter(None, map(_node, self.endpoints))))
         unnamed = self.enclave in {"", "/"}  # `/` is the enclave of nodes that were given none
         return SeenParticipant(

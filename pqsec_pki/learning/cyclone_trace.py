@@ -54,7 +54,7 @@ class CycloneTrace:
     """The participants that the lines so far show."""
 
     _found: dict[str, DiscoveredParticipant] = field(default_factory=dict)
-    """By the prefix of their GUIDs."""
+    """Participants by the prefix of their GUIDs."""
     needed: int = 0
     """Lines about participants and endpoints so far."""
 

@@ -32,7 +32,7 @@ _Entity: TypeAlias = Mapping[str, Any]
 
 _KINDS = ("domains", "topics", "processes", "participants", "datawriters", "datareaders")
 _GUID = re.compile(r"[0-9a-f.]+\|(?:[0-9a-f]{1,2}\.){3}([0-9a-f]{1,2})", re.ASCII)
-"""With the kind of the entity, its last octet."""
+"""A GUID; its group is the kind of the entity, the last octet."""
 _TEXT = re.compile(r"(?:[2-7][0-9a-f])*", re.ASCII)
 """The backend writes octets in hex without leading zeros, so what follows an octet below 0x10
 cannot be read; what ROS 2 writes is text, before any such octet."""

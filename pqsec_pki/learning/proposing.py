@@ -128,7 +128,7 @@ def _topics(points: Iterable[Endpoint], action: Action) -> tuple[str, ...]:
 
 
 def _below(nodes: Sequence[str], topics: ros.Endpoints) -> dict[str, ros.Endpoints]:
-    """For each node, the topics below its name; each topic is looked at once."""
+    """Node -> the topics below its name; this looks at each topic once."""
     found: dict[str, tuple[list[str], list[str]]] = {node: ([], []) for node in nodes}
     for way, names in enumerate(topics):
         for name in names:

@@ -36,7 +36,7 @@ class Inspector:
     keystore: Keystore
     anchors: TrustAnchors
     participants: dict[str, ParticipantState]
-    """By name."""
+    """States by name."""
     known: dict[str, int]
     """SHA-256 of signed permissions -> number of their line."""
     compromised: dict[str, Entry]
@@ -61,7 +61,7 @@ class Inspector:
         )
 
     def revoked_of(self, names: Sequence[str]) -> list[str]:
-        """Those of `names` whose newest certificate was revoked."""
+        """The names of `names` whose newest certificate was revoked."""
         known = filter(None, map(self.participants.get, names))
         return [each.name for each in known if each.revoked]
 
@@ -75,7 +75,7 @@ class Inspector:
             )
 
     def issued_by_previous_ca_of(self, names: Sequence[str]) -> list[str]:
-        """Those of `names` whose newest certificate was issued by a previous identity CA."""
+        """The names of `names` whose newest certificate a previous identity CA issued."""
         known = filter(None, map(self.participants.get, names))
         return [each.name for each in known if each.issued_by_previous_ca]
 

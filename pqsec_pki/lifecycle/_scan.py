@@ -37,11 +37,11 @@ class KeystoreScan:
     now: datetime
     anchors: TrustAnchors
     domains: DomainSet
-    """Those of the governance, once it was read."""
+    """The domains of the governance, after it was read."""
     list_file: Path | None = None
     """The revocation list in the enclaves; the newest, if they differ."""
     entries: list[Entry] = field(default_factory=list)
-    """For the ledger."""
+    """New lines for the ledger."""
     participants: dict[int, str] = field(default_factory=dict)
     """Serial number -> name."""
     refused: dict[str, str] = field(default_factory=dict)

@@ -61,14 +61,14 @@ class Adoptable:
     """A keystore of another tool, before it is adopted."""
 
     keystore: Keystore
-    """For reading its files; it has no pqsec.json and no ledger."""
+    """Reads the files; the folder has no pqsec.json and no ledger."""
     participants: frozenset[str]
-    """Those with a certificate of the identity CA."""
+    """Participants with a certificate of the identity CA."""
     revoked: frozenset[str]
     refused: dict[str, str]
-    """As in `Adopted`."""
+    """See `Adopted`."""
     fitting: bool
-    """As in `Adopted`."""
+    """See `Adopted`."""
 
 
 def adoptable(root: Path, *, now: datetime) -> Adoptable:

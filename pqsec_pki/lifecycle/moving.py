@@ -21,7 +21,7 @@ IN_A_FILE = "sqlite"
 
 @dataclass(frozen=True, slots=True)
 class LedgerMove:
-    """Where the ledger of a keystore is now."""
+    """The new address of a keystore's ledger."""
 
     place: str
     lines: int

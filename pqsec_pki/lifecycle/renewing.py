@@ -41,7 +41,7 @@ class Renewal:
     """Whether to make new keys, or keep the public keys of the certificate; None makes new keys if
     the private key is here, and people need not approve rights that grow."""
     validity: timedelta | None = None
-    """From now on; None for the validity of the old certificate."""
+    """The validity from now on; None for the validity of the old certificate."""
     due: timedelta | None = None
     """A revocation list that ends within this time is issued again; None as in `status`."""
     compromised_keys: bool = False

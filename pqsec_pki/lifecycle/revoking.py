@@ -38,7 +38,7 @@ COMPROMISE = "compromise"
 
 _ISSUED = "participant"
 LIST_VALIDITY = timedelta(days=365)
-"""As long as participants by default: once a list has expired, stacks with it refuse every
+"""The default validity of participants: after a list has expired, stacks with it refuse every
 peer."""
 
 

@@ -72,7 +72,7 @@ class RolloverResult:
 
     plan: RolloverPlan
     keystore: Keystore
-    """With the new profile."""
+    """The keystore with the new profile."""
     issued: list[Issued]
     overlap: Overlap | None
     """The overlap that began, continued or ended."""

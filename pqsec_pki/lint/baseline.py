@@ -31,7 +31,7 @@ class Baseline:
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """From the file; FileError, or MalformedError if it is not what check prints as JSON."""
+        """Read the file; FileError, or MalformedError if it is not what check prints as JSON."""
         data = _files.read(path, limit=MAX_BASELINE)
         with located(path):
             try:

@@ -190,7 +190,7 @@ class Content:
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """The path of the file."""
         return self.file.path
 
     @property

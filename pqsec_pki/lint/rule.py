@@ -65,9 +65,9 @@ class Violation:
     message: str
     """One line, for an engineer who is not an expert."""
     line: int | None = None
-    """In the file, counted from 1."""
+    """The line in the file, counted from 1."""
     path: Path | None = None
-    """If it differs from the subject's own path."""
+    """The path, if it differs from the subject's own path."""
     code: Code | None = None
     """The code of the problem, if it is one of the credentials."""
 
@@ -84,7 +84,7 @@ class Rule:
     bad: str
     """A short example of a violation: XML, a suppression file, or commands after `$`."""
     good: str
-    """The same, fixed. Commands continue after those of `bad`."""
+    """The example of `bad`, corrected. Commands continue after those of `bad`."""
     scope: type
     check: Callable[[Any], Iterable[Violation]]
     stacks: frozenset[Stack]

@@ -67,7 +67,7 @@ class CertificateFile(Content):
 
     @property
     def issued(self) -> Iterator[Certificate]:
-        """Those that are not self-issued: documents name only such participants."""
+        """Certificates that are not self-issued: documents name only such participants."""
         return (each for each in self.certificates if not each.is_self_issued)
 
     @cached_property
@@ -101,7 +101,7 @@ class EnclaveFolder:
 
     @property
     def path(self) -> Path:
-        """Where it is."""
+        """The path of the folder."""
         return self.folder
 
     @cached_property

@@ -43,9 +43,9 @@ class Rehearsal:
     """All rollovers of a migration on a copy."""
 
     participants: int
-    """With keys in the keystore: only they can be rehearsed."""
+    """Participants with keys in the keystore: only they can be rehearsed."""
     sample: tuple[str, ...]
-    """Those whose handshakes were run."""
+    """The participants whose handshakes ran."""
     steps: tuple[RehearsedStep, ...]
 
     @property

@@ -129,7 +129,7 @@ class AccessControl:
     def check_remote_datareader(
         self, handle: int, domain: int, topic: str, partitions: tuple[str, ...], tags: Pairs
     ) -> tuple[int, int]:
-        """The same for a peer. The last result is 0: not for relaying only."""
+        """Check a peer's DataReader. The last result is 0: not for relaying only."""
         return *self.check_create_datareader(handle, domain, topic, partitions, tags), 0
 
     def get_permissions_token(self, handle: int) -> tuple[int, DataHolder]:

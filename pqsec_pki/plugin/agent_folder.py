@@ -18,7 +18,7 @@ from pqsec_pki.errors import FileError
 
 _OTHERS = 0o077
 _WRITABLE = 0o022
-"""By others."""
+"""Permission bits that let other users write."""
 _RUN_USER = Path("/run/user")
 _MAX_FOLDER = 85
 """Octets. A socket's path has at most 108 with its NUL, and a file's name here up to 22."""
@@ -56,12 +56,12 @@ class AgentFolder:
 
     @property
     def own_retired(self) -> Self:
-        """Where this process can be asked after it has retired."""
+        """The socket of this process after it has retired."""
         return type(self)(self.folder / f"retired-{os.getpid()}.sock")
 
     @property
     def retired(self) -> list[Self]:
-        """Where agents can be asked that serve no new hosts; some may have been killed."""
+        """Sockets of agents that serve no new hosts; some agents may have been killed."""
         return [type(self)(path) for path in sorted(self.folder.glob("retired-*.sock"))]
 
     def prepare(self) -> None:

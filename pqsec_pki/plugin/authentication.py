@@ -262,7 +262,7 @@ class Authentication:
         return (ValidationResult.OK,)
 
     def _certificate(self, handle: int) -> Certificate:
-        """That of a participant or an authenticated peer; VerificationError if it is neither."""
+        """Certificate of a participant or an authenticated peer; VerificationError for others."""
         local = self._handles.find(handle, Local)
         if local is not None:
             return local.certificate

@@ -99,4 +99,4 @@ CALLS: Mapping[str, Mapping[str, Call]] = MappingProxyType(
         CONTROL: _calls({"status": ">s", "stop": ">"}),
     }
 )
-"""By the plugin that a connection is for; `control` is the command line's."""
+"""Calls by the plugin that a connection is for; the command line uses `control`."""

@@ -52,7 +52,7 @@ class Source:
 
     @property
     def where(self) -> str:
-        """For messages."""
+        """The path or name, for messages."""
         return str(self.path) if self.path else self.name
 
 

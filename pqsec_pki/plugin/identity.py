@@ -42,7 +42,7 @@ class LocalIdentity(Identity):
     participant_data: bytes
 
     def introduction(self, agreement: KeyAgreement, *, nul: bool) -> Introduction:
-        """With all participant data in c.pdata: only the content of c.pdata is authenticated."""
+        """All participant data is in c.pdata: peers authenticate only the content of c.pdata."""
         plain = Identity.introduction(self, agreement, nul=nul)
         return replace(plain, participant_data=self.participant_data)
 
@@ -100,7 +100,7 @@ class Local:
         )
 
     def with_versions_for(self, permissions: Source, note: Callable[[str], None]) -> Self:
-        """The same, without the second version if that cannot carry our own documents.
+        """This identity, without the second version if that cannot carry our own documents.
 
         Cyclone DDS announces the versions before it sets the permissions, so these are read here;
         access control reports a file that cannot be read. UsageError if there is no other version.
@@ -141,7 +141,7 @@ class Local:
         return Terms(own=own, policy=self.policy, discovered=discovered, announced=announced)
 
     def with_newer_list(self) -> Self:
-        """The same, with the revocation list that its file has now.
+        """This identity, with the revocation list that its file has now.
 
         PqsecError if the file is missing or its CA did not sign it.
         """
@@ -154,7 +154,7 @@ class Local:
         return replace(self.with_list(fresh), list_state=state)
 
     def with_list(self, fresh: RevocationList) -> Self:
-        """The same, with the revocation list `fresh`."""
+        """This identity, with the revocation list `fresh`."""
         return replace(self, anchors=replace(self.anchors, revocation_list=fresh))
 
     def revokes(self, certificate: Certificate) -> bool:

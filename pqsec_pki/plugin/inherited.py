@@ -19,7 +19,7 @@ it."""
 _INFINITE = float("inf")
 _GROUP = struct.Struct("I")
 _MOST_GROUPS = 256
-"""As many as Python reads of an option. Of a host with more it is not known."""
+"""The most groups that Python can read of a socket option; of more, the agent knows none."""
 
 
 class Inherited:

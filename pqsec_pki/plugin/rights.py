@@ -72,7 +72,7 @@ class LocalRights(Rights):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RemoteRights(Rights):
-    """Those of a peer."""
+    """The rights of a peer."""
 
     side: ClassVar[Viewpoint] = Viewpoint.PEER
 

@@ -10,7 +10,7 @@ from pqsec_pki._dataclass import dataclass
 LIMITS = tuple(
     getattr(resource, f"RLIMIT_{name}") for name in ("AS", "CPU", "DATA", "FSIZE", "NPROC")
 )
-"""With a low one, an agent ends, or cannot load a library, pass on a list or fork a worker."""
+"""If one is low, an agent ends, or cannot load a library, pass on a list or fork a worker."""
 _CAPSET_VERSION = 0x20080522
 """_LINUX_CAPABILITY_VERSION_3 of capset(2)."""
 _UNKNOWN = 1 << 32

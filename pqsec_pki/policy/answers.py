@@ -110,7 +110,7 @@ def _zone_hazard(grant: Grant | None, question: Question) -> str:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainsAnswer:
-    """The same answer on several domains; `question` is for the first of them."""
+    """One answer that holds on several domains; `question` is for the first of them."""
 
     question: Question
     answer: Answer

@@ -35,7 +35,7 @@ class Use:
     """The answer for one topic, or one pattern of the rules, that the right needs."""
 
     topic: str | None
-    """As the rules have it: a pattern is answered with a sample, the question's topic."""
+    """The topic or pattern in the rules; for a pattern, the question's topic is a sample of it."""
     answers: list[DomainsAnswer]
 
     def until(self, policy_input: PolicyInput) -> datetime | None:

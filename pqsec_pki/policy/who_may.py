@@ -38,7 +38,7 @@ class WhoMay:
     unknown: dict[str, str]
     """Topics and patterns that no rule names or matches -> similar names as a text."""
     ungoverned: list[DomainRange]
-    """Those of `domains` that the governance does not name."""
+    """The domains of `domains` that the governance does not name."""
     until: dict[str, datetime]
     """When the rights of each participant end: with its grant, its certificate or a CA."""
 

@@ -37,7 +37,7 @@ class ReportState:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EarlierReport(ReportState):
-    """The same of an earlier report, with its place in the ledger."""
+    """The state in an earlier report, with its position in the ledger."""
 
     path: str
     at: str
@@ -179,7 +179,7 @@ def changes_since(earlier: EarlierReport, report: Report, keystore: Keystore) ->
 
 
 def _state_of(report: Report) -> ReportState:
-    """The same of a report that was just made."""
+    """The state in a report that was just made."""
     participants, rights, authorities = report.participants, report.rights, report.authorities
     return ReportState(
         participants=None

@@ -37,7 +37,7 @@ class ParticipantGroup:
     """Participants whose permissions differ only in their names. It may have one member."""
 
     label: str
-    """Its members' common name; what differs is `{name}`."""
+    """The common form of its members' names; `{name}` stands for the part that differs."""
     members: tuple[str, ...]
 
 

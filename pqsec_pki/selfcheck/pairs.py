@@ -94,7 +94,7 @@ class PairsCheck:
         return sorted({party.name for party in self.findings})
 
     def participants_json(self) -> list[dict[str, object]]:
-        """For --json: each participant, the domains that it may join, and its faults."""
+        """Each participant for --json, with the domains that it may join and its faults."""
         return [self._participant_json(name) for name in self.names]
 
     def _participant_json(self, name: str) -> dict[str, object]:

@@ -24,7 +24,7 @@ class CheckedStep:
 
     @property
     def fault(self) -> dict[str, str | None]:
-        """For --json, if it failed."""
+        """The fault for --json, if the step failed."""
         return {"step": self.name, "cause": self.detail, "hint": self.hint}
 
 
@@ -88,7 +88,7 @@ class TopicFlow(NamedTuple):
     topics: tuple[str, ...]
 
     def to_json(self) -> dict[str, Any]:
-        """For --json."""
+        """The two names and the topics, for --json."""
         return {"from": self.sender, "to": self.receiver, "topics": list(self.topics)}
 
 

@@ -62,7 +62,7 @@ class JoinableDomains:
         return min(self.shared, default=self.fallback)
 
     def __str__(self) -> str:
-        """As in `/a may join domain 0, /b domains 1, 2`."""
+        """Text such as `/a may join domain 0, /b domains 1, 2`."""
         return ", ".join(
             f"{name} may join domain{'s' if len(each) > 1 else ''} {_listed(each)}"
             for name, each in self.domains.items()

@@ -35,7 +35,7 @@ class SimulatedStack:
     """The source of the row: versions that were run, or source code."""
     conventions: MessageConventions = field(default_factory=MessageConventions)
     agreements: tuple[KeyAgreement, ...] = ()
-    """Those it supports; it asks for the first. Empty: all of pqsec's, as the profile says."""
+    """Agreements that it supports; it asks for the first. Empty: those of the pqsec profile."""
     asks_for_any: bool = False
     """Whether it can be configured to ask for any other of them."""
     announces: bool = True

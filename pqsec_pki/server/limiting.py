@@ -67,14 +67,14 @@ class Shares:
     _sums: Counter[str] = field(default_factory=Counter)
 
     def add(self, key: str, held: Any, amount: int = 1) -> None:
-        """So much more of it is held."""
+        """Add `amount` to what `key` holds of `held`."""
         mine = self._held.setdefault(key, {})
         mine[held] = mine.get(held, 0) + amount
         self._sums[key] += amount
         self.total += amount
 
     def remove(self, key: str, held: Any) -> None:
-        """It is no longer held."""
+        """Remove `held`, if it is there."""
         mine = self._held.get(key, {})
         amount = mine.pop(held, 0)
         self.total -= amount
@@ -153,17 +153,17 @@ class Connections:
         self._open[address] += 1
 
     def idle(self, link: Any) -> None:
-        """Its client has to send something."""
+        """Record that the client of `link` has to send something."""
         if (address := self._addresses.get(link)) is not None:  # of a Unix socket it is empty
             self._idle.add(address, link)
 
     def busy(self, link: Any) -> None:
-        """Its client waits for an answer."""
+        """Record that the client of `link` waits for an answer."""
         if (address := self._addresses.get(link)) is not None:
             self._idle.remove(address, link)
 
     def closed(self, link: Any) -> None:
-        """It was closed; this may be called twice."""
+        """Record that `link` was closed; callers may call this twice."""
         if (address := self._addresses.pop(link, None)) is not None:
             self._idle.remove(address, link)
             self._open[address] -= 1

@@ -50,7 +50,7 @@ class Requester:
     certificate: Certificate | None = None
     """The participant's certificate."""
     device: Certificate | None = None
-    """That of its factory."""
+    """The device certificate that its factory issued."""
     again: bool = False
     """Whether that device may enrol again."""
 

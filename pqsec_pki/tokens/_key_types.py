@@ -129,7 +129,7 @@ KEY_TYPES: dict[str, KeyType] = {
     _RSA_OID: _RSA,
     **{f"2.16.840.1.101.3.4.3.{arc}": _ML_DSA for arc in (17, 18, 19)},
 }
-"""By the OID of the key."""
+"""Key types by the OID of the key."""
 
 
 def key_type_of(public: Any) -> KeyType:

@@ -99,7 +99,7 @@ def made_keys(
 def participant_keys(
     wanted: Mapping[str, tuple[str, SignatureAlgorithm]], pin: Pin = stored_pin
 ) -> Iterator[MadeKeys]:
-    """As `made_keys`. UsageError also for an algorithm with which tokens sign no handshakes."""
+    """Like `made_keys`. UsageError also for an algorithm with which tokens sign no handshakes."""
     for _, algorithm in wanted.values():
         algorithm.refuse_own_handshakes()
     with made_keys(wanted, pin) as made:

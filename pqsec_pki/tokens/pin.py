@@ -1,4 +1,4 @@
-"""Where the PIN of a token comes from: never from a URI, an argument or the ledger."""
+"""Gets the PIN of a token: never from a URI, an argument or the ledger."""
 
 import os
 from collections.abc import Callable

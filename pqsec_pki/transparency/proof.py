@@ -29,7 +29,7 @@ class ProvenLine:
     """A ledger line, and its inclusion proof."""
 
     number: int
-    """From 1; it is leaf `number - 1`."""
+    """The line number, from 1; the line is leaf `number - 1`."""
     kind: str
     name: str
     sha256: str
@@ -103,7 +103,7 @@ class LedgerProof:
         return json.dumps(self.to_json(), indent=1, ensure_ascii=False).encode() + b"\n"
 
     def about(self, wanted: Collection[tuple[str, str]]) -> Self:
-        """The same with only the lines of these kinds and SHA-256."""
+        """This proof with only the lines of these kinds and SHA-256."""
         lines = (each for each in self.lines if (each.kind, each.sha256) in wanted)
         return type(self)(self.checkpoint, tuple(lines))
 

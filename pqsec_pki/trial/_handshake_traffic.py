@@ -17,7 +17,7 @@ _DATA, _DATA_FRAG = 0x15, 0x16
 _LITTLE, _INLINE_QOS = 0x01, 0x02
 _WRITER = bytes.fromhex("000201c3")
 _SENDER, _RECEIVER, _CLASS = 4, 52, 100
-"""Where the GUIDs and the class of a ParticipantGenericMessage begin in a sample (7.2.6)."""
+"""Offsets of the GUIDs and the class of a ParticipantGenericMessage in a sample (7.2.6)."""
 _PREFIX = 12
 _AUTH_REQUEST = b"+AuthReq"
 _LONGEST = 256

@@ -45,11 +45,11 @@ class Counts:
     """Counts of frames and messages."""
 
     frames: int = 0
-    """IP packets that hosts sent; one to a group is one."""
+    """IP packets that hosts sent; a packet to a multicast group counts once."""
     bytes: int = 0
-    """Bytes of these, from their Ethernet headers on."""
+    """Bytes of these packets, with their Ethernet headers."""
     fragments: int = 0
-    """Those of these that are parts of a datagram that was too long for one frame."""
+    """Frames with a part of a datagram that was too long for one frame."""
     deliveries: int = 0
     """One for each port that a frame should reach."""
     lost: int = 0
@@ -57,7 +57,7 @@ class Counts:
     handshake_messages: int = 0
     """Requests, replies and finals, each of them once for a pair."""
     handshake_repeats: int = 0
-    """The same messages, sent again."""
+    """Handshake messages that were sent again."""
     cpu: float = 0.0
     """Seconds of the processor that the switch took."""
 

@@ -112,7 +112,7 @@ def _built(fastdds: Installation | None) -> Path:
 
 
 def _compilers(fastdds: Installation) -> Compilers:
-    """Those of its root file system."""
+    """The compilers in its root file system."""
     if fastdds.root == MACHINE:
         return here()
     run = partial(_run_there, fastdds)

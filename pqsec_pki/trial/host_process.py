@@ -54,13 +54,13 @@ class HostProcess:
         return bool(heard)
 
     def tell(self, line: str) -> None:
-        """Give it a line; it may have ended."""
+        """Write a line to its input; the process may have ended."""
         assert self.process.stdin  # noqa: S101 -- opened as a pipe
         with suppress(BrokenPipeError):
             self.process.stdin.write(f"{line}\n".encode())
 
     def times(self, word: str) -> list[float]:
-        """When it said that, by time.monotonic."""
+        """The times at which it wrote `word`, by time.monotonic."""
         return [when for said, _, when in self._said if said == word]
 
     @property
@@ -70,7 +70,7 @@ class HostProcess:
 
     @property
     def met(self) -> list[float]:
-        """When its writer and its reader were first matched with those of one other, two, ..."""
+        """Times at which its writer and its reader first matched those of one other, two, ..."""
         most = {each: [0.0] * _OWN for each in ENDPOINTS}
         for said, number, when in self._said:
             if said in most:
@@ -139,7 +139,7 @@ _DROPPED = 11
 
 
 def kernel_counters(process: int) -> dict[str, int]:
-    """Those in KERNEL of its network, and QUEUE_DROPS; nothing if it has ended."""
+    """Counters in KERNEL of its network, and QUEUE_DROPS; empty if the process has ended."""
     try:
         lines = Path(f"/proc/{process}/net/snmp").read_text().splitlines()
     except OSError:

@@ -31,7 +31,7 @@ class HostsSetup:
     program: Sequence[str]
     """The command line of a peer, without its arguments."""
     environments: Sequence[Mapping[str, str]]
-    """For each host the variables that name its configuration."""
+    """The variables of each host that name its configuration."""
     domain: int
     topic: str
     link: Link
@@ -46,9 +46,9 @@ class HostOutcome:
     """What one host did; times are seconds from the line that lets all join."""
 
     joined: float | None
-    """When its participant was created."""
+    """The time at which its participant was created."""
     met: tuple[float, ...]
-    """When its writer and its reader were first matched with those of one other host, two, ..."""
+    """Times at which its writer and reader first matched those of one other host, two, ..."""
     received: int
     """Samples of others."""
     cpu: float

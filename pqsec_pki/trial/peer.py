@@ -30,7 +30,7 @@ class TrialRole:
     """The task and configuration of one participant."""
 
     name: str
-    """For messages."""
+    """The name in messages."""
     act: Act
     text: str = ""
     """The text that it sends."""

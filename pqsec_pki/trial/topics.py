@@ -18,7 +18,7 @@ from pqsec_pki.vendors import StackEnclave
 Value = TypeVar("Value")
 
 _ANY = "pqsec/trial"
-"""For participants that may use every topic."""
+"""The topic for participants that may use every topic."""
 _PATTERN = set("*?[")
 
 

@@ -11,7 +11,7 @@ LEAST = 0.34
 
 
 def nearest_texts(text: str, known: Collection[str]) -> list[str]:
-    """Those of `known` that share at least a third of their words' weight, nearest first."""
+    """The texts of `known` that share at least a third of their words' weight, nearest first."""
     here = set(_words(text)[:MAX_WORDS])
     words = {each: set(_words(each)) for each in known}
     common = Counter(word for each in words.values() for word in each)

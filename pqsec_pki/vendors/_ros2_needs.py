@@ -27,7 +27,7 @@ _REPLIES = [t.rpartition("/")[2] for t in ros.node_minimum("/n").publish if t.st
 _OF_A_NODE = re.compile(rf"rr(?P<node>(?:/{_PART})+)/(?:\*(?:Reply)?|{'|'.join(_REPLIES)})")
 """Reply topics of the services that every node has; they contain the node's name."""
 _OF_NODES = re.compile(rf"rr(?P<nodes>(?:/{_PART})*/(?:{_PART})?\*)(?:Reply)?")
-"""The same for a pattern of node names, such as those of ROS 2's own command line."""
+"""Reply topics for a pattern of node names, such as those of ROS 2's own command line."""
 
 
 @dataclass(frozen=True)

@@ -40,7 +40,7 @@ class CyclonePlugin:
     soname: str
     """The libddsc that it is linked to, such as libddsc.so.0debian; empty if to none."""
     library: Path | None
-    """That libddsc, links resolved, if it is beside the plugin or one folder above."""
+    """The path of that libddsc, links resolved, if it is beside the plugin or one folder above."""
 
     @property
     def release(self) -> Version:

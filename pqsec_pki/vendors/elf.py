@@ -156,7 +156,7 @@ class Image:
         )
 
     def at(self, offset: int, size: int) -> bytes:
-        """Those bytes; MalformedError if the file has fewer."""
+        """The `size` bytes at `offset`; MalformedError if the file has fewer."""
         try:
             data = os.pread(self.handle, size, offset)
         except (OverflowError, OSError):

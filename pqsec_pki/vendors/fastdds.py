@@ -134,7 +134,7 @@ def _properties(enclave: StackEnclave, options: Options) -> dict[str, str]:
 
 
 def _private_key(enclave: StackEnclave, options: Options) -> str:
-    """Its own plugin reads no file that refers to a key, but the URI."""
+    """The key's URI; Fast DDS's own plugin cannot read a file that refers to a key."""
     return enclave.uri(KEY) if options.plugin or not enclave.key_uri else enclave.key_uri
 
 

@@ -29,9 +29,9 @@ class MessageKind(StrEnum):
 
     CAUSE = "cause"
     SYMPTOM = "symptom"
-    """That something failed; another message says why."""
+    """The message says that something failed; another message says why."""
     NORMAL = "normal"
-    """It belongs to a good run."""
+    """The message belongs to a run without faults."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,7 +67,7 @@ class Recognised:
     times: int
 
     def to_json(self) -> dict[str, object]:
-        """Its row of the table for --json, with what it says here."""
+        """The row of the table for --json, with the text of this message."""
         row = {each.name: getattr(self.message, each.name) for each in fields(self.message)}
         return row | {
             "said": self.said,
