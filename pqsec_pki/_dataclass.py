@@ -22,7 +22,7 @@ _Methods = dict[str, Callable[..., Any] | None]
 _MISSING, _FIELD = dataclasses.MISSING, dataclasses._FIELD  # type: ignore[attr-defined] # noqa: SLF001
 _READ = ("__dataclass_fields__", "__dataclass_params__", "__match_args__")
 _OF_PLAIN = {"__dict__", "__weakref__"}
-"""What a class with slots does not have."""
+"""Attributes that a class with slots does not have."""
 _FEW = 50
 """Up to this number of values, compiling `__init__` takes longer than it saves."""
 
@@ -251,7 +251,7 @@ def _refuse(_: object, name: str, *__: object) -> None:
 
 
 def _state(self: Any) -> list[object]:
-    """What pickle and copy pass to `_restore`, because attributes cannot be set."""
+    """The state that pickle and copy pass to `_restore`, because attributes cannot be set."""
     return [getattr(self, each.name) for each in dataclasses.fields(self)]
 
 

@@ -1,4 +1,4 @@
-"""What other installed packages offer, by entry points. Who installs a package trusts its code."""
+"""Finds the entry points of other installed packages, whose code the installing user trusts."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager

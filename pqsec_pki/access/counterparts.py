@@ -260,7 +260,7 @@ def is_one_edit(one: str, other: str) -> bool:
 
 
 def _shape(topic: str) -> tuple[str, int]:
-    """What is left without letters, which an edit does not change, and the length."""
+    """The topic without letters, which an edit does not change, and its length."""
     return _LETTERS.sub("", topic), len(topic)
 
 

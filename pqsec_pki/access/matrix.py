@@ -194,7 +194,7 @@ class Matrix:
     def _uses(
         self, member: _MatrixMember, domain: int
     ) -> Iterator[tuple[tuple[Action, ...], Iterable[str]]]:
-        """What this member may do with which topics."""
+        """Pairs of actions and the topics for which this member may do them."""
         key = member.outline, domain
         if key not in self._joins:
             self._joins[key] = member.policy.joins(replace(member.join, domain=domain))
@@ -216,7 +216,7 @@ class Matrix:
         numbers: _Covering,
         names: Iterable[str],
     ) -> tuple[Action, ...]:
-        """What such a member may do with such topics; `names` are some, and others that differ."""
+        """The allowed actions of such a member for such topics; `names` has some, and others."""
         key = member.outline, domain, kind, numbers
         if key not in self._actions:
             covering = self._covering(member)

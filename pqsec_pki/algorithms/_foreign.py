@@ -15,7 +15,7 @@ _OWN = ("name", "wire_name", "token_name", "key_oid", "identifier")
 _NAME = re.compile(r"[A-Za-z0-9+_.-]{1,63}")
 """Names on the wire are joined with `+` and end with NUL; people write lists with commas."""
 _PREFIX = "id-"
-"""What a table takes off a name before it looks for a row."""
+"""A prefix that a table removes from a name before it looks for a row."""
 _MOST_BYTES = 1 << 24
 """Octets of a key, ciphertext or signature; the largest published keys (Classic McEliece) have 1.3
 MB."""

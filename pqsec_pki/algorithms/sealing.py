@@ -102,7 +102,7 @@ class SealingPrivateKey:
         return pem(_PRIVATE, self.raw)
 
     def open(self, sealed: bytes, info: bytes) -> bytes:
-        """What was sealed for this key and `info`; VerificationError if nothing was."""
+        """The plaintext; VerificationError unless `sealed` is for this key and `info`."""
         try:
             return _SUITE.decrypt(sealed, self.handle, info)
         except (InvalidTag, ValueError):

@@ -86,7 +86,7 @@ def approval_in(data: bytes) -> Approval:
 
 
 def signed_text(approver: str, at: datetime, proposal: str) -> bytes:
-    """What is signed."""
+    """The octets that the signature covers."""
     return LABEL + canonical(_statement(approver, at, proposal))
 
 

@@ -34,7 +34,7 @@ HostCredentials = tuple[Plugins, str | None, WireVersion | None]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeshCase:
-    """What is run several times."""
+    """The parameters of one case, which runs several times."""
 
     plugins: Plugins
     profile: str | None

@@ -160,7 +160,7 @@ def _case(row: Row) -> Case:
 
 
 def _case_of_any_number(row: Row) -> Case:
-    """What makes two cases different, but for the number of hosts."""
+    """The differences of a case from others, except for the number of hosts."""
     return (*_kind(row), f"{float(row['loss']):.0%} loss", *_link(row))
 
 

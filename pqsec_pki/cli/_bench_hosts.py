@@ -229,7 +229,7 @@ def _seconds(values: Sequence[float], percent: float) -> str:
 
 
 def _note(run: MeshRun) -> None:
-    """What a host that did not meet all others said first."""
+    """The first message of a host that did not meet all others."""
     if not run.complete:
         others = run.case.hosts - 1
         silent = [each for each in run.result.hosts if len(each.met) < others]

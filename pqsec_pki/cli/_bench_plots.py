@@ -13,7 +13,7 @@ Draw = Callable[[Callable[[], Mapping[str, bytes]]], None]
 
 @contextmanager
 def plots(folder: Path | None, names: Sequence[str], *, force: bool) -> Iterator[Draw]:
-    """What writes plots into the folder, which is there before anything is measured.
+    """A function that writes plots into the folder, which exists before measurements begin.
 
     PqsecError without the library, ExistsError for a plot that is there already.
     """

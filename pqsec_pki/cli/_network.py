@@ -51,7 +51,7 @@ _OPTIONS: tuple[Callable[[_settings.Command], _settings.Command], ...] = (
 
 
 def server_trust(server_pins: Iterable[str], server_ca: Path | None) -> "ServerTrust | None":
-    """What the options say; None if they say nothing. UsageError for both, or for no SHA-256."""
+    """The trust of the options; None without them. UsageError for both, or for no SHA-256."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for --help
     from pqsec_pki.est import ServerTrust, server_pin  # noqa: PLC0415 -- a library of an extra
 
@@ -79,7 +79,7 @@ def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:
 
 
 class FailedError(PqsecError):
-    """What failed, of several participants."""
+    """The errors of several participants."""
 
     def __init__(self, errors: Sequence[PqsecError]) -> None:
         super().__init__(str(errors[0]), hint=errors[0].hint)

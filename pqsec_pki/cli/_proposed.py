@@ -62,7 +62,7 @@ def run(words: Sequence[str], passphrase_file: Path | None, *, no_passphrase: bo
 
 
 def _more(context: click.Context, passphrase_file: Path | None, *, none: bool) -> Iterator[str]:
-    """What the command needs where it is applied."""
+    """Options that the command also needs when `pqsec apply` runs it."""
     if "yes" in context.params:
         yield "--yes"
     if passphrase_file and "passphrase_file" in context.params:

@@ -150,7 +150,7 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """What is to be done."""
+    """The changes to make."""
 
     desired: Desired
     keystore: Keystore | None
@@ -174,7 +174,7 @@ def _wanted(  # noqa: PLR0913 -- the options of the command
     prune: bool,
     new_keys: bool,
 ) -> _Wanted:
-    """What the domain file or the plan in `file` wants."""
+    """The changes that the domain file or the plan in `file` needs."""
     if file.suffix == PROPOSAL_SUFFIX:
         desired, keystore, approved = plan_in(file, approval_files, to_change=not check)
         return _Wanted(desired, keystore, approved.plan, approved)

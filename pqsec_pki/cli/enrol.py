@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class _Asked:
-    """What the command line and the token file say together."""
+    """The values of the command line and the token file together."""
 
     token: EnrolmentToken | None
     server: str

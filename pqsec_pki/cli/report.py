@@ -168,7 +168,7 @@ def _refuse_gaps(found: Report) -> None:
 def _planning(
     keystore: Keystore, target: str | None, stacks: tuple[str, ...], domain_file: Path | None
 ) -> Callable[[], migration.MigrationPlan] | None:
-    """What plans the migration to `target`."""
+    """A function that plans the migration to `target`; None without a target."""
     if target is None:
         if stacks or domain_file:
             raise UsageError(
@@ -184,7 +184,7 @@ def _planning(
 def _signing(
     keystore: Keystore, signer: tuple[Path, Path] | None, passphrase_file: Path | None
 ) -> Callable[[bytes], bytes]:
-    """What signs a text as S/MIME, with its certificate in it."""
+    """A function that signs a text as S/MIME, with its certificate in it."""
     if signer is None:
         authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
         return partial(authorities.sign, now=_settings.now(), embed_certificate=True)

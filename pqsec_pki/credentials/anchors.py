@@ -84,7 +84,7 @@ class TrustAnchors:
 
     @property
     def content(self) -> tuple[object, ...]:
-        """What two values with the same CAs, list and rules have in common, for comparing them."""
+        """A key that is equal for two values with the same CAs, list and rules."""
         list_ = self.revocation_list
         roles = tuple(tuple(each.der for each in found) for found in self.roles.values())
         return *roles, list_ and list_.der, self.stock_peers

@@ -36,7 +36,7 @@ _SKEW = timedelta(hours=1)
 
 @dataclass(frozen=True, slots=True)
 class OrderedIssue:
-    """What an order makes."""
+    """The inputs for issuing the certificates of an order."""
 
     keystore: Keystore
     """Marked as approved, if those who approve changes approved the grant."""

@@ -135,7 +135,7 @@ def _approvals_step(desired: Desired, before: ApprovalPolicy | None = None) -> S
 
 
 def _counted(desired: Desired) -> str:
-    """What is stored, as the reason of that step: groups with how many members they have."""
+    """The reason of the step that stores groups: each group and its number of members."""
     sizes = [f"@{key}: {len(names)}" for key, names in desired.groups.items()]
     rest = [f"{len(sizes) - _MOST_GROUPS} more"] if len(sizes) > _MOST_GROUPS else []
     return ", ".join(sizes[:_MOST_GROUPS] + rest) or "the file has none"

@@ -1,4 +1,4 @@
-"""What of a plan needs approvals, and all that an approval is of.
+"""The steps of a plan that need approvals, and the content that an approval covers.
 
 A step has the hash of what it makes or ends, so that an approval is of these rights and this
 certificate, and not only of words. The rights that change are beside them, for people to read.
@@ -127,7 +127,7 @@ class PlanReview:
                 return self._shared_content(step)
 
     def _shared_content(self, step: Step) -> str:
-        """What a step makes that is not for one participant."""
+        """The content that a step makes, if it is not for one participant."""
         match step.action:
             case StepAction.SIGN_GOVERNANCE:
                 return self.desired.governance_digest

@@ -17,7 +17,7 @@ from pqsec_pki.tokens import Pin
 
 @dataclass(frozen=True, slots=True)
 class NextSet:
-    """What will be installed, and what is installed before."""
+    """The set that will be installed, and the set that is installed now."""
 
     before: InstalledSet | None
     enclaves: dict[str, dict[str, bytes]]

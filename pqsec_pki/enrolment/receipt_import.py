@@ -109,7 +109,7 @@ def record_receipts(
 
 @dataclass(frozen=True, slots=True)
 class _Records:
-    """What the ledger says, as far as it decides about receipts."""
+    """The ledger's content by which pqsec accepts or refuses receipts."""
 
     issued: Mapping[str, str] = field(repr=False)
     """The participant, by the SHA-256 of its certificate."""

@@ -40,7 +40,7 @@ _LATER = (HTTPStatus.REQUEST_TIMEOUT, HTTPStatus.TOO_MANY_REQUESTS)
 _ANOTHER = (HTTPStatus.MISDIRECTED_REQUEST, HTTPStatus.SERVICE_UNAVAILABLE)
 """What another of the servers may answer better."""
 ASKING_FAILS = (OSError, SSL.Error, HTTPException, UnicodeError)
-"""What sockets, TLS and http.client raise when there is no answer."""
+"""Exceptions of sockets, TLS and http.client when there is no answer."""
 MOST_PLACES = 4
 """Addresses of one name that are tried, one after the other."""
 _Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]

@@ -42,7 +42,7 @@ Clock = Callable[[], datetime]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Obtained:
-    """What one participant has now."""
+    """The result of enrolment or renewal for one participant."""
 
     name: str
     certificate: Certificate

@@ -88,7 +88,7 @@ def verify_signed(  # noqa: PLR0913 -- the parts of a request, by name
 def _content(
     connection: SSL.Connection, certificate: Certificate, method: str, path: str, body: bytes
 ) -> bytes:
-    """What is signed. It begins like nothing else that these keys sign."""
+    """The octets to sign. Nothing else that these keys sign begins with the same octets."""
     if connection.get_protocol_version() < SSL.TLS1_3_VERSION:
         raise NotSignedError("requests are signed over TLS 1.3 only")
     lines = (

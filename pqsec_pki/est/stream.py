@@ -101,7 +101,7 @@ class TlsStream:
 
 
 class _Incoming(io.RawIOBase):
-    """What a server sends."""
+    """A stream of the octets that a server sends."""
 
     def __init__(self, stream: TlsStream) -> None:
         self._stream = stream

@@ -28,7 +28,7 @@ _ID, _PIN = re.compile("[0-9a-f]{16}"), re.compile("[0-9a-f]{64}")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EnrolmentToken:
-    """What is in the file."""
+    """The content of the file."""
 
     server: str
     """The server's URL."""
@@ -37,7 +37,7 @@ class EnrolmentToken:
     cas: Pins
     """The CAs that the robot is to trust."""
     id: str
-    """What the server knows the token by; no secret."""
+    """The identifier of the token at the server; it is not secret."""
     secret: str = field(repr=False)
     """32 random bytes, in base64url without padding."""
     names: str

@@ -86,7 +86,7 @@ class WireVersion(IntEnum):
 
 
 FIRST_ONLY = (WireVersion.FIRST,)
-"""What is sent and accepted unless somebody chooses: the version of stock stacks."""
+"""The default for messages to send and to accept: the version of stock stacks."""
 
 
 def version_of(found: Mapping[str, bytes]) -> WireVersion:

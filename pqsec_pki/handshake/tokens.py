@@ -12,7 +12,7 @@ from pqsec_pki.handshake.compact import FIRST_ONLY, WireVersion
 from pqsec_pki.handshake.wire import DataHolder
 
 _ALONE = f"{WireVersion.FIRST}"
-"""What a sender announces by not announcing any."""
+"""The versions of a sender that announces none."""
 
 
 @dataclass(frozen=True, slots=True)

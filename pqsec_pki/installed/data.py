@@ -1,4 +1,4 @@
-"""What pqsec made on this machine."""
+"""Lists the files that pqsec made on this machine."""
 
 from collections.abc import Iterable, Iterator, Mapping
 from os.path import lexists

@@ -59,7 +59,7 @@ class LedgerAddress:
 
     @property
     def parameters(self) -> dict[str, str]:
-        """What its query says."""
+        """The parameters of its query."""
         return _parameters(self.url.partition("?")[2])
 
     @property

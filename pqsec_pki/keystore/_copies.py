@@ -20,7 +20,7 @@ _SECOND = 1_000_000_000
 
 
 class CopyKey(NamedTuple):
-    """What a copy is of."""
+    """The content of which a copy was made."""
 
     place: str
     version: tuple[int, ...] = ()

@@ -108,7 +108,7 @@ class Ledger:
             return self._database.serialize()
 
     def is_stored(self, store: LedgerStore) -> None:
-        """What `to_file` gave is in the store now."""
+        """Record that the store now has the result of `to_file`."""
         self._copy.key = store.key
 
     @property
@@ -131,7 +131,7 @@ class Ledger:
             return f"pqsec-ledger/{(rows.fetchone() or ('',))[0][:_ORIGIN]}"
 
     def rows(self, *, after: int = 0) -> Iterator[Row]:
-        """What the tree is over: of the lines after number `after`, oldest first."""
+        """The values that the tree hashes, for the lines after number `after`, oldest first."""
         with self._errors():
             yield from self._database.execute(
                 "SELECT number, kind, name, sha256, chain FROM ledger"
@@ -170,7 +170,7 @@ class Ledger:
         )
 
     def row(self, number: int) -> Row | None:
-        """What the tree is over, of line `number`."""
+        """The values that the tree hashes, for line `number`; None without that line."""
         return next((each for each in self.rows(after=number - 1) if each[0] == number), None)
 
     def newest(self, kind: str) -> list[Entry]:

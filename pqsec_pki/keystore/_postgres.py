@@ -277,7 +277,7 @@ class PostgresLedger:
 
 
 def _defaults(address: LedgerAddress) -> dict[str, str]:
-    """What the address does not say: a server is authenticated, unless it is this machine."""
+    """Parameters that the address lacks; pqsec authenticates each server on another machine."""
     given = address.parameters
     found = {name: value for name, value in _CONNECTION.items() if name not in given}
     found["connect_timeout"] = given.get("connect_timeout", "10")

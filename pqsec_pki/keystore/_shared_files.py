@@ -60,7 +60,7 @@ class LedgerFile:
 
 
 def files_elsewhere(keystore: "Keystore", ledger: Ledger, names: Iterable[str]) -> list[LedgerFile]:
-    """What all share, and files of these participants, that another machine wrote since.
+    """Shared files, and files of these participants, that another machine wrote since.
 
     Not of participants whose keys pqsec made: their files stay where their keys are.
     """

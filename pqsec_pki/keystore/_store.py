@@ -18,7 +18,7 @@ class LedgerStore(Protocol):
 
     @property
     def key(self) -> CopyKey | None:
-        """What is there now; None if no copy of it can be used again."""
+        """The key of the present content; None if nothing can use a copy of it again."""
 
     def update(self, database: sqlite3.Connection) -> bool:
         """Add the newer lines to a copy of what was there; False if it had others."""

@@ -30,7 +30,7 @@ MAX_TREE = 16 << 10
 
 @dataclass(slots=True)
 class SeenLedger:
-    """What was seen of a ledger, for who decides by it again and again: lines are only added."""
+    """The state of a ledger after a read, for later reads: a ledger only gets new lines."""
 
     size: int = 0
     chain: str = ""

@@ -31,7 +31,7 @@ _VERSION = re.compile(r"[0-9A-Za-z.+_-]{1,64}")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Receipt:
-    """What is installed of one participant."""
+    """The installed files of one participant."""
 
     participant: str
     bundle: int | None

@@ -35,7 +35,7 @@ class Registration:
 
     @property
     def grant(self) -> RegistrationGrant:
-        """What was granted."""
+        """The grant that the identity CA signed."""
         return self.signed.grant
 
     @property

@@ -26,7 +26,7 @@ class SeenParticipant:
     name: str
     """Its enclave; without one the first of its nodes; empty if it has neither."""
     label: str = ""
-    """What else it is called: its entity name or its process."""
+    """Another name: its entity name or its process."""
     nodes: tuple[str, ...] = ()
     """The full names of its ROS 2 nodes."""
     endpoints: frozenset[Endpoint] = frozenset()

@@ -16,7 +16,7 @@ from pqsec_pki.keystore import (
 )
 
 IN_A_FILE = "sqlite"
-"""What names the file, in place of an address."""
+"""The name of the file, in place of an address."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -78,7 +78,7 @@ class RolloverResult:
     """The overlap that began, continued or ended."""
 
     def to_json(self) -> dict[str, object]:
-        """What was replaced, for --json."""
+        """The result for --json."""
         return {
             "generation": self.plan.generation,
             "profile": self.plan.terms.profile.name,
@@ -133,7 +133,7 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
 
 @dataclass(frozen=True, slots=True)
 class _NewCas:
-    """What the CAs are made of that follow those of a keystore."""
+    """The inputs for the new CAs of a keystore."""
 
     plan: RolloverPlan
     passphrase: bytes | None

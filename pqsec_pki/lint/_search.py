@@ -35,7 +35,7 @@ _NO_TARGET = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
 
 @dataclass(slots=True)
 class Search:
-    """What was found so far, by device and inode: a link is not a second file."""
+    """The files found so far, by device and inode: a link is not a second file."""
 
     now: datetime
     proofs: bool = False

@@ -29,7 +29,7 @@ _DER_KEY = re.compile(rb"0(?:[\x00-\x7f]|\x81.|\x82..)\x02\x01[\0\1][\x02\x04\x3
 
 @dataclass(frozen=True, slots=True)
 class PrivateKeyInfo:
-    """What is known of a private key without its passphrase. The key itself is not kept."""
+    """The facts about a private key without its passphrase. This does not keep the key."""
 
     spki: bytes | None = None
     """DER SubjectPublicKeyInfo of its public key; None if it cannot be loaded here."""

@@ -50,7 +50,7 @@ def _faults(entry: EntryPoint, added: dict[str, Rule]) -> Iterator[str]:
 
 
 def _guarded(package: str, wrapped: Rule, subject: Any) -> Iterable[Violation]:
-    """What the rule finds. Its failure ends the check: it must not look like no finding."""
+    """The rule's findings. Its failure ends the check: it must not look like no finding."""
     with blamed(f"rule {wrapped.id} of the package {package} failed", PqsecError):
         found: list[Any] = list(wrapped.check(subject))
         wrong = (each for each in found if not isinstance(each, Violation))

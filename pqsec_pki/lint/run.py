@@ -27,7 +27,7 @@ _RANK = {severity: rank for rank, severity in enumerate(Severity)}
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LintReport:
-    """What a check found."""
+    """The findings of one run."""
 
     findings: tuple[Finding, ...]
     """Sorted by path and line; within a line, the most severe first."""

@@ -96,7 +96,7 @@ class EnclaveFolder:
     proof_demanded: bool = field(repr=False)
     """Whether it must have a proof that the ledger has its documents."""
     subjects: Mapping[str, "Document | CertificateFile"] = field(repr=False)
-    """What is in those of its files that have one, by name."""
+    """The documents and certificates in its files, by file name."""
     shared_anchors: SharedAnchors = field(repr=False)
 
     @property
@@ -153,7 +153,7 @@ class Inventory:
     """Everything that is checked in one run."""
 
     path: Path
-    """What the user named, or the first of several."""
+    """The path that the user named, or the first of several."""
     files: tuple[File, ...] = field(repr=False)
     folders: Mapping[Path, int] = field(repr=False)
     """Folder -> its st_mode."""

@@ -83,7 +83,7 @@ def _refuse_other(document: bytes, path: Path, step: MigrationStep, wanted: Desi
 
 
 def _content(desired: Desired) -> tuple[object, ...]:
-    """What must not change."""
+    """The content that must not change."""
     members = {
         name: (each.config_digest, each.validity, each.request, each.by_order)
         for name, each in desired.members.items()

@@ -24,7 +24,7 @@ class AgentStatus:
     socket: str
     connections: tuple[dict[str, Any], ...]
     notice: str = ""
-    """What the user should know of it, and do."""
+    """A fact about the agent that the user should know, and the action to take."""
 
     def to_json(self) -> dict[str, object]:
         """The status for --json."""

@@ -26,7 +26,7 @@ class VersionError(PqsecError):
 
 @dataclass(frozen=True, slots=True)
 class Greeting:
-    """What a connection begins with."""
+    """The first line of a connection."""
 
     plugin: str
     """A plugin of DDS-Security, or CONTROL."""

@@ -394,7 +394,7 @@ class Agent:
         }
 
     def _notice(self) -> str:
-        """What the user should know of it, and do."""
+        """A fact about this agent that the user should know, and the action to take."""
         if self._is_old():
             return f"{_REPLACED}: restart these hosts, which use the previous one"
         return f"{self._why}: it serves its present hosts only" if self._why else ""

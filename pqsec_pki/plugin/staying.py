@@ -17,7 +17,7 @@ from pqsec_pki._files import file_version
 
 _MAPS = Path("/proc/self/maps")
 _GONE = b" (deleted)"
-"""What ends a line of it, if the file was removed or another took its place (proc_pid_maps(5))."""
+"""The end of a line there, if the file was removed or replaced (proc_pid_maps(5))."""
 
 
 def staying(socket: Path) -> Callable[[], bool]:

@@ -13,7 +13,7 @@ from pqsec_pki.documents import Criteria
 from pqsec_pki.report.values import ParticipantGroup
 
 PLACEHOLDER = "{name}"
-"""What replaces, in a label, the part in which names differ."""
+"""The placeholder in a label for the part in which names differ."""
 _ONE = {1}
 
 

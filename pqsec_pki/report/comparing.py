@@ -21,7 +21,7 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ReportState:
-    """What a comparison needs of either report."""
+    """The values of one report that a comparison needs."""
 
     participants: dict[str, str] | None
     """Name -> serial number and state; None if that report does not have them."""
@@ -213,7 +213,7 @@ def _authorities(now: ReportState, earlier: ReportState) -> Iterator[str]:
 
 
 def _unknown(now: ReportState, earlier: ReportState) -> Iterator[str]:
-    """What one of the reports does not have."""
+    """The parts that one of the reports lacks."""
     values = {
         "participants": (now.participants, earlier.participants),
         "CAs and revocation list": (now.authorities, earlier.authorities),

@@ -1,4 +1,4 @@
-"""What the ledger has: lines of one kind that one command wrote, as one event."""
+"""Reads the ledger's history: lines of one kind that one command wrote are one event."""
 
 from collections.abc import Iterable, Iterator
 from itertools import groupby

@@ -23,7 +23,7 @@ def signature_path(report: Path) -> Path:
 
 
 def statement_of(report: Path, data: bytes) -> bytes:
-    """What is signed for a report with the content `data`.
+    """The octets to sign for a report with the content `data`.
 
     UsageError if the file's name has characters that are not printable.
     """

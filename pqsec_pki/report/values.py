@@ -156,7 +156,7 @@ class FindingGroup:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FindingsSection:
-    """What `pqsec check` finds."""
+    """The findings of `pqsec check`."""
 
     groups: tuple[FindingGroup, ...]
     files: int
@@ -220,7 +220,7 @@ class AuthorityRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Evidence:
-    """What others can compare the report with."""
+    """Values with which others can compare the report."""
 
     head: str
     """The chain value of the ledger's last line."""

@@ -111,7 +111,7 @@ class HandshakeReport:
     """Time of the messages and the key exchange, both sides, without the checks before them."""
     sent: tuple[Sent, ...] = field(default=(), repr=False)
     outcome: Done | None = field(default=None, repr=False)
-    """What the replier has at the end."""
+    """The result of the replier."""
 
     domain: int | None = None
     """The domain ID of the handshake; None if they share none, or it was not determined."""

@@ -53,7 +53,7 @@ class HandshakeRun:
     steps: Steps
     sent: list[Sent] = field(default_factory=list)
     done: tuple[Done, Done] | None = None
-    """What initiator and replier have at the end."""
+    """The results of initiator and replier."""
     seconds: float = 0.0
     """Time of the messages and the key exchange, without the checks of permissions."""
 

@@ -11,7 +11,7 @@ _NETWORK = 64
 
 @lru_cache(maxsize=2048)
 def key_of(address: str) -> str:
-    """What limits count together: an address of IPv4, or a network of IPv6."""
+    """The unit that limits count: an address of IPv4, or a network of IPv6."""
     found = _address(address)
     if isinstance(found, IPv6Address):
         return f"{int(found) >> (128 - _NETWORK):x}"

@@ -48,7 +48,7 @@ _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
 _APPROVED = "approval"
 """The name of an admission by somebody who approved the request."""
 _ORDERED = "an order"
-"""What admits a request that a registration authority ordered."""
+"""The name of an admission by an order of a registration authority."""
 _DEVICE = "device"
 """The begin of the name of an admission by a factory's certificate."""
 _BY_ORDER = "is enrolled by a registration authority's order, and no order has this request"
@@ -72,7 +72,7 @@ class Admission:
     """Where requests wait until somebody decides."""
     policy: EnrolmentPolicy
     taken: Counter[str] = field(default_factory=Counter)
-    """What was admitted since the ledger was read: names, and the tokens that admitted them."""
+    """Names admitted since the ledger was read, and the tokens that admitted them."""
     factories: Mapping[str, Factory] = field(default_factory=dict)
     """Whose devices may enrol, by the names that the domain file has."""
 

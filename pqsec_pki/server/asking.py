@@ -49,7 +49,7 @@ class SignerCalls:
         self.open = self._sent = 0
         self._waiting = Shares()
         self.trouble = ""
-        """What the signer said last about its configuration."""
+        """The last error in its configuration that the signer reported."""
         self._kept: OrderedDict[CallKind, tuple[float, SignerAnswer]] = OrderedDict()
 
     def ask(self, call: SignerCall, then: Then) -> None:

@@ -295,7 +295,7 @@ class CallHandler:
 
 
 def _decided(decide: Callable[[SignerCall], Decision], call: SignerCall) -> Decision | SignerAnswer:
-    """What was decided about the call, or the answer to one that is refused."""
+    """The decision about the call, or the answer that refuses it."""
     found: list[Decision] = []
 
     def ask() -> SignerAnswer:

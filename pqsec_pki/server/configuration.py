@@ -67,7 +67,7 @@ class FactoryFiles:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerLimits:
-    """What a client may use before it is known who it is."""
+    """Limits for clients that have not yet authenticated."""
 
     connections: int = 2000
     """At once, of all clients."""
@@ -103,7 +103,7 @@ class EnrolmentPolicy:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ServerSettings:
-    """What is in `serve.yaml`."""
+    """The content of `serve.yaml`."""
 
     path: Path
     url: str

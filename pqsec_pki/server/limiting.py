@@ -57,7 +57,7 @@ class RecentKeys:
 
 @dataclass(slots=True)
 class Shares:
-    """What clients hold of something that is limited, and may have to give up.
+    """Objects of a limited kind that clients hold, and that a server may take from them.
 
     An address holds objects, each with an amount.
     """
@@ -84,7 +84,7 @@ class Shares:
             del self._sums[key]
 
     def in_turn(self) -> Any:
-        """What the next address has held longest, which is removed; None for nothing.
+        """Remove and return the oldest object of the next address; None if there is none.
 
         Each address has its turn, however much it holds.
         """
@@ -98,7 +98,7 @@ class Shares:
         return found
 
     def to_give_up(self) -> Any:
-        """What the address with the most has held longest, which is removed; None for nothing.
+        """Remove and return the oldest object of the address with most; None if there is none.
 
         An address with little keeps it, however much others want.
         """
@@ -142,7 +142,7 @@ class Connections:
         return room and not self._often.wait(address)
 
     def to_close(self) -> Any:
-        """What is closed for a new one, and no longer counted; None if there is nothing."""
+        """The connection to close for a new one, no longer counted; None if there is none."""
         found = self._idle.to_give_up()
         self.closed(found)
         return found

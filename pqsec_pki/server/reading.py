@@ -81,7 +81,7 @@ def _certificate(route: Route, request: LimitedRequest) -> bytes:
 
 
 def _signatures(request: LimitedRequest) -> str:
-    """What follows the scheme of signed requests; empty for another scheme."""
+    """The credentials after the scheme of signed requests; empty for another scheme."""
     given = values_of(request, "Authorization")
     scheme, _, value = given[0].partition(" ") if len(given) == 1 else ("", "", "")
     return value if scheme.upper() == SCHEME else ""

@@ -32,7 +32,7 @@ class Admitted:
     by: str
     """The name of its admission in the ledger."""
     spec: ParticipantSpec | None = None
-    """What to issue; None if that was done before."""
+    """The request to answer with a certificate; None if that was done before."""
     line: Entry | None = None
     """The line that the ledger gets with it."""
     replaces: bool = False

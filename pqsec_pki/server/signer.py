@@ -58,7 +58,7 @@ class SignerProcess:
     _list_after: float = 0.0
     """When the revocation list is looked at next."""
     _read: dict[Path, FileVersion] = field(default_factory=dict)
-    """What the domain and its factories were read from last, or could not be read from."""
+    """Versions of the domain's and factories' files that the signer last read, or tried to."""
 
     def __post_init__(self) -> None:
         self.handler = self.load(self._read)

@@ -151,7 +151,7 @@ class WaitingRequests:
 
 
 def _to_give_up(there: Sequence[WaitingRequest], address: str) -> WaitingRequest:
-    """What was asked for longest ago, of the address with most, with the new one from `address`."""
+    """The oldest request of the address with most requests, counting a new one from `address`."""
     keys = {each.sha256: key_of(each.address) for each in there}
     counts = Counter([*keys.values(), key_of(address)])
     return max(there, key=lambda each: (counts[keys[each.sha256]], -each.asked.timestamp()))

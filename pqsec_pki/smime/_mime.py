@@ -112,7 +112,7 @@ def is_plain(message: bytes, found: SignedMessage) -> bool:
 
 
 def _around_signature(content: bytes, micalg: str) -> tuple[bytes, bytes]:
-    """What is before and after the lines of base64."""
+    """The octets before and after the lines of base64."""
     boundary = f"----{hashlib.sha256(content).hexdigest()[:32].upper()}"
     before = (
         _HEADER.format(micalg=micalg, boundary=boundary).encode(),

@@ -45,7 +45,7 @@ class KeyType(ABC):
 
 
 def template(label: str, identifier: bytes) -> dict[str, Any]:
-    """What is said of a new key: it is stored, signs, and cannot be read."""
+    """The attributes of a new key: stored in the token, for signatures, never readable."""
     return {
         "id": identifier,
         "label": label,

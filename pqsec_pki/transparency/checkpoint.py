@@ -52,7 +52,7 @@ class Checkpoint:
 
     head: TreeHead
     text: bytes = field(repr=False)
-    """What the signatures are over."""
+    """The octets that the signatures cover."""
     signatures: tuple[tuple[str, bytes], ...] = field(repr=False)
     """The name of each key; its ID with the signature."""
 

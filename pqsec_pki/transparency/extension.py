@@ -40,7 +40,7 @@ class HeadExtension:
 
     @property
     def head(self) -> TreeHead:
-        """What was signed."""
+        """The signed head."""
         return self.checkpoint.head
 
     def verify(self, before: TreeHead) -> None:

@@ -24,7 +24,7 @@ _AVOIDED_BY: Mapping[str, str] = {
     Stack.CONNEXT: f"dds.transport.UDPv4.builtin.parent.message_size_max={MAX_MESSAGE}",
     Stack.ROS2: f"{_CYCLONE}; or, under rmw_fastrtps, {_FAST_DDS}",
 }
-"""What makes the datagrams small, where the export does not."""
+"""Settings that make the datagrams small, for stacks whose export does not."""
 
 
 def notes(stack: str, enclave: StackEnclave, options: Options, size: int) -> Iterator[str]:

@@ -46,7 +46,7 @@ _NO_LIST = "OpenDDS reads no revocation list (crl.pem): it accepts revoked parti
 _CRL = "dds.sec.auth.identity_crl"
 """pqsec's plugin reads it; OpenDDS's own has no such property."""
 _UNFIT = re.compile(r"""[^!-~]|[:*(){}'"#%$]""")
-"""What ACE does not read as a part of a path, or replaces there."""
+"""Characters that ACE does not accept in a path, or replaces."""
 _UNMODIFIED = (
     "a program that sets these properties without the header loads the plugin if {} is first in"
     " LD_LIBRARY_PATH"

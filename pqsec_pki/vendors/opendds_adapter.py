@@ -60,7 +60,7 @@ def compile_opendds(stack: OpenDds, folder: Path, compilers: Compilers) -> Path:
 
 
 def commands(stack: OpenDds, standard: str, compilers: Compilers) -> Iterator[list[str]]:
-    """What compiles it, in a folder with the sources."""
+    """The command lines that compile it, in a folder with the sources."""
     shim = sorted(path.name for path in SOURCES.glob("*.c"))
     status = stack.library.path.stat()
     yield [compilers.c, "-std=c11", *FLAGS, f'-DPQSEC_PYTHON="{sys.executable}"', "-c", *shim]
@@ -167,7 +167,7 @@ class InstalledOpenDds:
     protocol: int
     """Version of the protocol that it speaks to the agent."""
     python: Path
-    """What starts the agent."""
+    """The Python interpreter that starts the agent."""
 
     @property
     def problem(self) -> str:
