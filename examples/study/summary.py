@@ -5,8 +5,8 @@ plots beside the results. study.py ends with it.
 
 Medians have intervals by order statistics, without an assumption about the distribution: of n runs,
 the interval from the k-th to the (n-k+1)-th has a coverage of 1 - 2 P(B < k), B binomial with n and
-1/2. The narrowest with at least 95 % is told; if even the whole range has less, the range with its
-own coverage.
+1/2. The tables have the narrowest interval with at least 95 %; if the whole range has less, they
+have the range with its own coverage.
 """
 
 import argparse

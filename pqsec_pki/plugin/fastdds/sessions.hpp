@@ -2,7 +2,7 @@
 //
 // Fast DDS 2.9 and 3.1 have no listener for revocation and expiry. But whenever a participant
 // announces itself again, its thread of events comes by here, where it also drops peers that it has
-// not heard of for too long. It drops in the same way whom the agent finds revoked, or who expired.
+// not heard of for too long. It also drops peers that the agent finds revoked or expired.
 // A thread of our own asks the agent: a participant whose thread of events waited for a busy agent
 // would not announce itself, and its peers would drop it.
 

@@ -188,7 +188,7 @@ class AccessControl : public virtual OpenDDS::DCPS::LocalObject<security::Access
                                                           SecurityException&) override {
     return true;
   }
-  // The first is 3.13's, the second 3.34's; the one that OpenDDS does not have is called by nobody.
+  // The first is 3.13's, the second 3.34's; OpenDDS calls only the one that it has.
   virtual CORBA::Boolean check_remote_datawriter_register_instance(
       security::PermissionsHandle, DDS::DataReader_ptr, DDS::InstanceHandle_t, Key,
       DDS::InstanceHandle_t, SecurityException&) {

@@ -233,7 +233,7 @@ class Authentication : public virtual OpenDDS::DCPS::LocalObject<security::Authe
 
   CORBA::Boolean return_sharedsecret_handle(security::SharedSecretHandle*,
                                             SecurityException&) override {
-    return true;  // it is erased when nobody refers to it
+    return true;  // it is erased when nothing refers to it
   }
 
  private:

@@ -126,7 +126,7 @@ const char *files_seen(char *text, size_t size)
 }
 
 /* The agent gets few of the host's variables, and none for the loader, the locale or Python: later
- * hosts have it too. Whoever runs a program with more rights than its own gives the agent none. */
+ * hosts have it too. A host that has more rights than its user gives the agent none. */
 static char **kept_environment(void)
 {
   static const char *const names[] = {"HOME", "PATH", "XDG_RUNTIME_DIR", TOKENS_MODULE,

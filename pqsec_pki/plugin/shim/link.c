@@ -201,7 +201,7 @@ static int reach(const struct sockaddr_un *address, struct exception *ex)
     if (absent && !may_start) {
       may_start = agent_may_start(address->sun_path, &lock);
       if (may_start)
-        continue; /* whoever had the lock before may have started it */
+        continue; /* the process that had the lock before may have started it */
     } else if (absent && !started) {
       started = true;
       if ((starting = agent_start(address->sun_path, ex)) == 0)
