@@ -274,7 +274,7 @@ def test_of_what_pqsec_writes_each_stack_is_told_what_does_not_suit_it(
 
 
 def as_plain_user(folder, closed, mode, *options):
-    """What `pqsec check` says to a user to whom that is closed."""
+    """The output of `pqsec check` for a user who may not read that."""
     (folder / closed).chmod(mode)
     done = subprocess.run(
         [*PLAIN_USER, sys.executable, "-m", "pqsec_pki", "check", *options],

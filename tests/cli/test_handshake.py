@@ -220,7 +220,7 @@ def test_a_whole_enclave_from_another_keystore_is_refused(fails, keystore, tmp_p
 
 
 def test_an_enclave_that_brings_its_own_cas_fails_at_the_handshake(fails, keystore):
-    """All of /listener's own checks pass: it trusts whom it brought. Its peer does not."""
+    """All of /listener's own checks pass: it trusts the CA in its own files. Its peer does not."""
     k, other = keystore(), keystore("classical", "other", "another")
     shutil.rmtree(k / "enclaves/listener")
     shutil.copytree(other / "enclaves/listener", k / "enclaves/listener", symlinks=False)

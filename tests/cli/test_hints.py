@@ -10,8 +10,8 @@ import pqsec_pki
 
 ROOT = Path(pqsec_pki.__file__).parent
 REPLACES_A_FILE = "a file of the user's choice is in the way, and the hint says that it is replaced"
-SAYS_WHAT = "the rights that were lost or would be are to be said anew, and the hint says so"
-IF_WANTED = "for whom was revoked, and only if it may come back"
+SAYS_WHAT = "the hint says that the user must state the rights that were lost, or would be, again"
+IF_WANTED = "for a participant that was revoked, and only if it may come back"
 JUSTIFIED = {
     "choose another place, or --force to replace it": REPLACES_A_FILE,
     "choose another -o, or --force to replace it": REPLACES_A_FILE,

@@ -169,7 +169,7 @@ def test_units_for_systemd_are_written_beside_all_or_nothing(
 def test_who_has_no_home_is_told_what_to_do(pqsec, monkeypatch, line):
     for name in ("HOME", "XDG_CONFIG_HOME"):
         monkeypatch.delenv(name, raising=False)
-    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # whom the system does not know
+    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # a user that the system does not know
     pqsec(line).refused(3, "no home folder", hint="HOME")
 
 

@@ -41,7 +41,7 @@ def test_the_plugin_is_looked_for_where_it_is_installed(pqsec, keystore, tmp_pat
 def test_without_a_home_the_plugin_must_be_named_and_nothing_else(pqsec, keystore, monkeypatch):
     keystore("transition")
     monkeypatch.delenv("HOME", raising=False)
-    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # whom the system does not know
+    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # a user that the system does not know
     line = "-k k export cyclonedds /talker"
     pqsec(f"{line} --plugin").refused(3, "no home folder", hint="HOME")
     pqsec(line).done()

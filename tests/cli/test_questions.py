@@ -1058,7 +1058,7 @@ def test_a_misspelled_topic_is_noted_beside_a_participant_without_rights(pqsec, 
     assert "no rule names rt/chater, so nobody may use it; did you mean 'rt/chatter'" in done.err
 
 
-# ROS 2 words, and who can send what to whom
+# ROS 2 words, and what each participant can send to which others
 
 
 @pytest.fixture

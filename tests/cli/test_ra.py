@@ -70,7 +70,7 @@ def test_a_registration_authority_enrols_a_robot(pqsec, lab):
 
 
 def test_an_order_performed_again_later_keeps_its_answer(pqsec, lab, monkeypatch):
-    """Its bundles are made anew, with another time, and have the same files."""
+    """A second run makes its bundles again, with another time and the same files."""
     pqsec(ADD).done()
     pqsec(ORDER).done()
     pqsec(SIGN).done()

@@ -82,7 +82,7 @@ SPOILT = {
 
 
 def believes(said):
-    """who-may answers for the others, and says whom it leaves out."""
+    """who-may answers for the others, and names the participants that it leaves out."""
     return said.code == 0 and "/talker" not in said.json.get("left_out", ())
 
 

@@ -1,4 +1,4 @@
-"""pqsec validate: documents against their schemas, whoever signed them."""
+"""pqsec validate: documents against their schemas, with any signer."""
 
 import re
 

@@ -52,7 +52,7 @@ class Crew:
         return self.lab.keystore
 
     def issue(self, policy: bytes) -> None:
-        """Make whom the policy names; who is there already gets what it says now."""
+        """Make the participants that the policy names; existing ones get its present rights."""
         specs = [
             ParticipantSpec(
                 name=grant.name, domains=_domains(grant), validity=YEAR, grants=(grant,)

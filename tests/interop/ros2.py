@@ -73,5 +73,5 @@ class Ros2:
             "AMENT_PREFIX_PATH": str(self.folder),
             "ROS_AUTOMATIC_DISCOVERY_RANGE": "OFF",
             "ROS_LOG_DIR": str(work / "log"),
-            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",  # else they start Python anew
+            "_ROS_WHEELS_BOOTSTRAP_COMPLETE": "1",  # else they start another Python
         }

@@ -110,7 +110,7 @@ def test_a_root_spares_no_robot_the_file_of_a_new_issuing_ca(root, meets):
 
 
 def test_a_root_that_is_trusted_also_issues(root, meets):
-    """Whoever gets the root's key needs no issuing CA."""
+    """An attacker with the root's key needs no issuing CA."""
     issuing = root.issuing("Issuing")
     alice = root.files(issuing, "alice", trusted=[root.own, issuing])
     meets("fastdds", alice, root.files(root.own, "bob", trusted=[root.own, issuing]))

@@ -1,7 +1,7 @@
-"""Others take our revocation lists: they refuse whom a list names, and nobody else.
+"""Others take our revocation lists: they refuse the peers that a list names, and no others.
 
 OpenSSL judges the lists themselves; the plugins of Cyclone DDS and Fast DDS decide whether
-a participant with a list starts, and whom it lets in.
+a participant with a list starts, and which peers it lets in.
 """
 
 from contextlib import ExitStack

@@ -69,7 +69,7 @@ def with_folder(copy, folder, order):
 
 
 def judge(starts, pair, *, good):
-    """The two let each other in, whoever begins; or not."""
+    """The two let each other in, or not, with either of them as initiator."""
     for first, second in (pair, reversed(pair)):
         if good:
             meet(starts, first, second)

@@ -235,7 +235,7 @@ def test_a_trial_that_is_stopped_leaves_nothing_running_and_no_passphrase_on_dis
     assert peers(here) == 0
     files = [path for path in here.rglob("*") if path.is_file()]
     assert [path for path in files if SECRET in path.read_bytes()] == []
-    # Whom nobody asked to end could not remove what was in memory only.
+    # A process that was killed could not remove what was in memory only.
     left = [path for path in Path("/dev/shm").glob("pqsec-trial-*") if _names(path, here)]
     assert [path.stat().st_mode & 0o777 for path in left] == [0o700] * (how == signal.SIGKILL)
     for path in left:

@@ -48,7 +48,7 @@ PATIENCE = 240
 """Seconds, all three."""
 PASSWORD = "Correct-Horse_1"
 SENDER, RECEIVER = "/lab/bob", "/lab/alice"
-"""Bob is the one with whom something is wrong."""
+"""Bob is the participant with a fault."""
 OTHER = "rt/other"
 """A topic that is in nobody's permissions."""
 

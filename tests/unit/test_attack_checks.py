@@ -164,7 +164,7 @@ class Checks:
         self.patch.setattr(place, name, staticmethod(raised) if place is RemotePeer else raised)
 
     def somebody(self, introduction):
-        """Whoever is meant, where what it says of itself cannot be read."""
+        """Either participant, if what it says of itself cannot be read."""
         return next(
             (
                 each
@@ -208,7 +208,7 @@ def introduction(context, message):
 
 
 def refusal(attempt):
-    """The codes of whoever refuses it; empty if nobody does."""
+    """The codes of the participant that refuses it; empty if none does."""
     run = selfcheck_run.HandshakeRun(attempt.session, Steps())
     with suppress(StoppedError):
         run.perform()

@@ -517,7 +517,7 @@ def test_a_participant_without_an_alternative_key_is_refused_where_it_is_require
 def test_a_participant_that_was_signed_again_without_the_alternative_signature_is_refused(
     double_ca,
 ):
-    # What whoever breaks ECDSA can do: everything but the ML-DSA signature.
+    # An attacker who breaks ECDSA can make everything but the ML-DSA signature.
     leaf = issue(double_ca, alternative="ml-dsa-65")
     stripped = rebuilt(leaf, double_ca.key, drop=ALTERNATIVES[1:])
     assert problems(stripped, double_ca.certificate, require_alternative=True) == (

@@ -731,7 +731,7 @@ def test_cyclone_dds_reads_a_range_of_one_domain():
 
 # Patterns.
 
-COVERED = {  # by whom: the first letters of spec, cyclonedds, fastdds, opendds
+COVERED = {  # by first letters: spec, cyclonedds, fastdds, opendds
     ("a", "a"): "scfo",
     ("a", "A"): "",
     ("*", ""): "scfo",

@@ -853,7 +853,7 @@ def everything_in(robot, bundle):
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root may give files to others")
 def test_a_folder_that_somebody_else_could_change_or_put_another_for_is_refused(robot):
-    """As sshd refuses keys: whoever may rename a folder above can put their own there."""
+    """As sshd refuses keys: a user who may rename a folder above can replace it."""
     home, wrong, bundle = robot.parent / "home", [], robot.parent / "1.bundle"
     deep = home / "robot/credentials"
     deep.mkdir(parents=True, mode=0o755)

@@ -499,7 +499,7 @@ def test_a_damaged_ledger_with_a_write_ahead_log_is_no_traceback(keystore, tmp_p
 
 @pytest.mark.parametrize("left", ["nothing", "an empty file", "the write-ahead log alone"])
 def test_a_change_that_is_finished_does_not_begin_a_lost_ledger_anew(keystore, tmp_path, left):
-    """One begun anew would have forgotten every revocation."""
+    """A new ledger would lack every revocation."""
     copy = as_sqlite_leaves_it(keystore, tmp_path / "copy", "WAL", committed=True)
     ledger = copy.root / "private/ledger.sqlite3"
     whole = {path: path.read_bytes() for path in ledger.parent.glob("ledger.*")}

@@ -584,7 +584,7 @@ def by_participant(lab):
 
 
 def by_delegate(lab):
-    """Somebody to whom the permissions CA gave a certificate."""
+    """A subject to which the permissions CA issued a certificate."""
     key = SIGNATURES.named("ecdsa-p256").generate()
     year = 365 * DAY
     delegate = lab.authorities().permissions.issue("x", key.public_key, now=NOW, validity=year)

@@ -1,4 +1,4 @@
-"""Names across all that is checked: who may pass for whom on Cyclone DDS."""
+"""Names across all checked files: which participant can pass for another on Cyclone DDS."""
 
 from dataclasses import replace
 

@@ -46,7 +46,7 @@ def issued_by(authority, lab, *, alternative=True):
 
 
 def by_another_alternative_key(lab):
-    """What whoever has broken ECDSA could make."""
+    """Files that an attacker who broke ECDSA could make."""
     identity = lab.authorities().identity
     other = SIGNATURES.named("ml-dsa-65").generate()
     return issued_by(Authority(identity.certificate, identity.key, other), lab)

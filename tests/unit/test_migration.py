@@ -143,7 +143,7 @@ def test_a_rehearsal_that_is_killed_leaves_no_key(keystores, tmp_path):
 
 
 def test_a_copy_of_a_keystore_that_nobody_may_change_is_removed():
-    """By a user whom modes bind, which they do not do root."""
+    """As a user that is not root: file modes do not restrict root."""
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place, "copy")
         private = folder / "generation1/private"

@@ -1,4 +1,4 @@
-"""One verdict: whoever is asked about an enclave says the same of it, and for the same reason.
+"""One verdict: all commands say the same about an enclave, and for the same reason.
 
 Each row is the enclave of a participant with one thing about it; each reader is a part of pqsec
 that trusts an enclave or does not. All of them must agree with the table.

@@ -432,7 +432,7 @@ def test_a_second_ca_that_others_put_there_is_no_overlap_and_shows(tmp_path, key
     assert Overlap.of(keystore) is None
     with pytest.raises(VerificationError, match=r"identity_ca\.cert\.pem is not in the ledger"):
         audit(keystore)
-    begin(keystore)  # which writes the file anew
+    begin(keystore)  # which writes the file again
     audit(keystore)
 
 

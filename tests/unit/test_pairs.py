@@ -238,7 +238,7 @@ def test_an_expired_participant_fails_all_its_pairs(three):
 
 
 def test_two_cas_of_one_name_fail_where_they_meet(keystore):
-    """Each trusts whom it brought, so nobody is at fault alone."""
+    """Each trusts the CA in its own files, so neither is at fault alone."""
     names = ("/a", "/b", "/c")
     ours = keystore(domains="0", names=names)
     other = keystore(domains="0", names=names, folder="other")
@@ -398,7 +398,7 @@ def test_a_process_that_is_killed_is_told(many):
 
 @pytest.mark.slow
 def test_the_processes_run_no_code_of_the_folder_where_they_start(many, tmp_path, monkeypatch):
-    """Whoever may write where somebody works could have commands of that person's run there."""
+    """A user who may write in another's working folder could make that user run commands."""
     (tmp_path / "multiprocessing.py").write_text("raise SystemExit(3)")
     monkeypatch.chdir(tmp_path)
     job = AllPairsJob(root=many.root, now=NOW)

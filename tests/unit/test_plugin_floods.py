@@ -1,4 +1,4 @@
-"""Messages of whoever has not authenticated: what they may cost, and what they may not undo."""
+"""Messages of unauthenticated peers: what they may cost, and what they may not undo."""
 
 import gc
 import os
@@ -282,7 +282,7 @@ def test_a_forged_request_does_not_undo_a_finished_handshake(enclaves):
     with pytest.raises(RefusedError, match="signature"):
         shim.call("process_handshake", replace_signature(begin()[1]), handle)
     assert shim.call("get_shared_secret", handle) == secret
-    again, final = begin()  # who has the key may begin anew
+    again, final = begin()  # a peer that has the key may begin again
     assert shim.call("get_shared_secret", handle) == secret
     assert shim.call("process_handshake", final, again) == [ValidationResult.OK, NO_TOKEN]
     assert shim.call("get_shared_secret", handle)[5] != secret[5]

@@ -126,7 +126,7 @@ def test_another_handle_than_the_librarys_socket_is_refused(runtime, place, flaw
 
 
 def test_a_socket_that_is_for_another_process_is_left_alone(runtime, place):
-    """LISTEN_PID says for whom; children inherit the variables."""
+    """LISTEN_PID says for which process; children inherit the variables."""
     environment = {"XDG_RUNTIME_DIR": str(runtime), "LISTEN_PID": "1", "LISTEN_FDS": "1"}
     process = subprocess.Popen(
         [sys.executable, "-I", "-m", "pqsec_pki", "agent", "run"],
@@ -199,6 +199,6 @@ def test_units_are_where_systemd_looks(monkeypatch, tmp_path):
 
 def test_who_has_no_home_is_told(monkeypatch):
     monkeypatch.delenv("HOME", raising=False)
-    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # whom the system does not know
+    monkeypatch.setattr(os, "getuid", lambda: 3_000_000_000)  # a user that the system does not know
     with pytest.raises(FileError, match="no home folder"):
         units_folder({})

@@ -83,7 +83,7 @@ def test_a_transition_enclave_without_its_countersigner_is_refused_and_its_half_
 def test_where_there_is_a_countersigner_both_signatures_are_demanded_of_own_documents(
     stores, enclave
 ):
-    """Else whoever breaks the classical key signs for everybody, whatever the other one is for."""
+    """Otherwise an attacker who breaks the classical key signs for every participant."""
     folder, taken = enclave("transition"), []
     assert accepted(folder)
     for file in SIGNED:

@@ -1,4 +1,4 @@
-"""The agent's workers: who serves whom, what comes first, and what stays true over all of them."""
+"""The agent's workers: which one serves a host, what comes first, and what stays true over all."""
 
 import errno
 import fcntl

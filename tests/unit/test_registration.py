@@ -368,7 +368,7 @@ def recorded(line, signed):
 
 
 def test_a_grant_that_the_identity_ca_did_not_sign_is_refused(line):
-    """Whoever writes into the ledger, but has no CA key."""
+    """An attacker who writes into the ledger, but has no CA key."""
     grant = line.grant()
     recorded(line, grant.signed_by([line.key]))
     refused(line, line.order(grant, "/fleet/r1"), "is not signed by the identity CA")

@@ -72,7 +72,7 @@ def test_connections_that_send_nothing_hold_nobody_up(server):
             link.connect((HOST, server.port))
         assert server.send("GET", "/pqsec/v1/head").status == 200
         until(lambda: counted(server, "too-many") >= before + 180)
-        until(lambda: counted(server, "late") >= 20)  # they are closed, whoever waits
+        until(lambda: counted(server, "late") >= 20)  # they are closed, although others wait
         assert server.send("GET", "/pqsec/v1/head", source=ENEMY).status == 200
 
 
@@ -148,7 +148,7 @@ def test_a_client_certificate_that_only_openssl_reads_is_refused_in_words(server
 
 
 def test_the_front_runs_no_code_of_the_folder_where_the_server_is_started(tmp_path):
-    """Whoever could write there got the user of the front, which may be that of the signer."""
+    """A user who could write there got the rights of the front's user, who may be the signer's."""
     server, others = Server(tmp_path, datetime.now(UTC), "classical"), tmp_path / "others"
     others.mkdir()
     (others / "twisted.py").write_text("raise SystemExit(7)")

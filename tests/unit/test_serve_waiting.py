@@ -105,7 +105,7 @@ def test_who_asks_no_more_is_forgotten_after_a_month(asked, requests):
 
 
 def test_an_approval_that_nobody_uses_ends(tmp_path):
-    """It never did: years later, whoever had the key got the certificate."""
+    """It never did: years later, anyone with the key got the certificate."""
     office = Office(tmp_path)
     made, other = office.new("r1"), office.new("r2")
     state = {"url": "https://x", "path": tmp_path / "serve.yaml", "state": tmp_path, "tls": ()}

@@ -265,7 +265,7 @@ def test_another_version_gets_a_peer_of_its_own(tools, here, peer):
 
 
 def test_another_build_of_the_library_gets_a_peer_of_its_own(tools, here, peer):
-    """A package that was built anew under one version is linked anew."""
+    """A package that was built again under one version is linked again."""
     tools({"g++": f"cp {peer} peer"})
     assert built(here) != built(replace(here, library=replace(here.library, build="00")))
     assert built(here) != built(replace(here, folder=Path("/opt")))
@@ -671,7 +671,7 @@ def test_the_wire_is_judged_by_what_was_seen(seen, readable):
 
 @pytest.fixture
 def way(tmp_path):
-    """way({name: (publish, subscribe)}, domain) is who sends what to whom."""
+    """way({name: (publish, subscribe)}, domain) is what each participant sends to which others."""
 
     def of(specs, domain=0):
         keystore = made(tmp_path / "k", "classical", names=())

@@ -6,7 +6,7 @@ from pqsec_pki.certificates import Certificate
 
 
 def in_version_1(certificate: Certificate, key: PrivateKey) -> Certificate:
-    """`certificate` without all that version 1 cannot say, signed anew with its issuer's `key`."""
+    """`certificate` without all that version 1 cannot say, signed again with its issuer's `key`."""
     tbs = decode(TBSCertificate, certificate.tbs, "tbs")
     tbs.version, tbs.extensions = 0, None
     content = encode(tbs)

@@ -1,6 +1,6 @@
 """What is told of real documents: the rules each of them breaks, one by one.
 
-After a change of the rules `PQSEC_GOLDEN=write` writes lint_corpus.json anew: read the
+After a change of the rules `PQSEC_GOLDEN=write` rewrites lint_corpus.json: read the
 difference before it is kept.
 """
 

@@ -280,7 +280,7 @@ def test_a_program_that_has_more_rights_than_its_user_preloads_nothing_and_is_re
 
 @pytest.fixture
 def privileged(tmp_path_factory, requires) -> Callable[[Path, str], str]:
-    """privileged(program, "setuid") is a copy of it that runs as its owner, whoever starts it;
+    """privileged(program, "setuid") is a copy of it that runs as its owner for every user;
     with "capability", one that may read and write every file."""
 
     def copied(program: Path, right: str) -> str:

@@ -185,7 +185,7 @@ class Meeting:
 
 
 def both_ways(one: str, other: str) -> list[Meeting]:
-    """Whoever sends, and whoever begins the handshake; in the gate, each begins once."""
+    """Each sends, and each begins the handshake; in the gate, each begins once."""
     senders = (SENDER, RECEIVER) if LONG else (SENDER,)
     return [Meeting(*each, sender) for each in ((one, other), (other, one)) for sender in senders]
 

@@ -56,7 +56,7 @@ BEHAVIOURS = {
 
 @contextmanager
 def listening(shim, behave):
-    """Somebody listens there who behaves so to whoever comes."""
+    """A process listens there and does this with each connection."""
     stop_agent(shim.place)
     shim.place.prepare()
     shim.place.socket.unlink(missing_ok=True)

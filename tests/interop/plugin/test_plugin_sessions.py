@@ -94,7 +94,7 @@ def test_the_stack_is_told_of_a_peer_that_is_revoked(shim, lab, careless):
 
 @pytest.fixture
 def neighbours(requires, tmp_path):
-    """A host that says whom it meets and loses."""
+    """A host that prints which peers it meets and loses."""
     try:
         find("cyclonedds")
     except MissingStackError as error:
