@@ -209,9 +209,7 @@ class Agent:
                 self._watch(incoming)
 
     def _watch(self, incoming: IncomingConnection) -> None:
-        self._selector.register(
-            incoming.link, selectors.EVENT_READ, lambda _: self._read(incoming)
-        )
+        self._selector.register(incoming.link, selectors.EVENT_READ, lambda _: self._read(incoming))
 
     def _watch_deferred(self) -> None:
         """Read the others: the greeting of the host that started the agent is read, or overdue."""

@@ -43,7 +43,7 @@ class PolicyInput:
     """The algorithms of its certificate's keys, such as `ml-dsa-65`."""
 
     def until(self, question: Question, interpretation: Interpretation = SPEC) -> datetime | None:
-        """The end of its rights: of its grant, its certificate or a CA. None if they have no end."""
+        """The end of its rights: of its grant, certificate or a CA. None if they have no end."""
         return end_of_rights(self.permissions.value, question, interpretation, self.not_after)
 
     def place(self, decision: Decision) -> tuple[Path, int] | None:
