@@ -124,7 +124,7 @@ class TrustAnchors:
 
     @property
     def not_after(self) -> datetime:
-        """When the first of the CAs ends, and with it what they alone decide."""
+        """The end of the CA that ends first; decisions that need all CAs end with it."""
         return min(each.not_after for found in self.roles.values() for each in found)
 
     def problems(self, now: datetime) -> tuple[Problem, ...]:

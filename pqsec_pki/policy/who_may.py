@@ -40,7 +40,7 @@ class WhoMay:
     ungoverned: list[DomainRange]
     """The domains of `domains` that the governance does not name."""
     until: dict[str, datetime]
-    """When the rights of each participant end: with its grant, its certificate or a CA."""
+    """The end of each participant's rights: of its grant, its certificate or a CA."""
 
     @property
     def too_long(self) -> list[str]:
