@@ -240,14 +240,18 @@ class Agent:
             self._serve_command_line(incoming)
         else:
             self._hand_over(incoming, greeting)
-        self._incoming.discard(incoming)
-        if self._starter_until and incoming.process == self._starter:
-            self._watch_deferred()
+        self._settle(incoming)
 
     def _forget(self, incoming: IncomingConnection) -> None:
         """Forget a connection that did not greet."""
-        self._incoming.discard(incoming)
         self._selector.unregister(incoming.link)
+        self._settle(incoming)
+
+    def _settle(self, incoming: IncomingConnection) -> None:
+        """It no longer waits for its greeting, and others no longer wait for the starter's."""
+        self._incoming.discard(incoming)
+        if self._starter_until and incoming.process == self._starter:
+            self._watch_deferred()
 
     def _refuse_full(self, link: socket.socket, process: int) -> None:
         why = (

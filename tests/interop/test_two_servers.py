@@ -12,7 +12,9 @@ from pqsec_pki.enrolment import Bundle, pins_in_use
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.est import EstClient, KeyTerms, KnownServer, ServerTrust, enrol, renew
 from pqsec_pki.keystore import Keystore, audit
-from pqsec_pki.lifecycle import revoke
+from pqsec_pki.lifecycle import renew_list, revoke
+from pqsec_pki.server import read_settings
+from pqsec_pki.server.call_handling import CallHandler
 from tests.interop.balancing import HOST, balancer
 from tests.unit.serving import Robot, Server
 
@@ -88,6 +90,22 @@ def test_a_revocation_at_one_server_is_in_the_list_of_the_other(servers, tmp_pat
     third = Robot(second, tmp_path / "3", "/fleet/r3")
     found = asked(second, third, token=second.token("/fleet/r3"))
     assert found.enclaves["/fleet/r3"]["crl.pem"] in lists
+
+
+def test_one_server_keeps_a_list_in_force_for_both(servers):
+    year, handlers = timedelta(days=365), []
+    for each in servers:
+        keystore = Keystore.open(each.root, to_change=True)
+        waiting = read_settings(each.config).waiting(keystore)
+        handlers.append(
+            CallHandler(
+                *(keystore, keystore.unlock(None), None, clock, waiting), revocation_list=year
+            )
+        )
+    renew_list(handlers[0].keystore, handlers[0].authorities, now=clock() - year, validity=year)
+    assert [each.keep_list() for each in handlers] == [True, False]
+    lists = {each.send("GET", "/pqsec/v1/revocation-lists").body for each in servers}
+    assert lists == {handlers[0].keystore.revocation_list_path.read_bytes()}
 
 
 def test_files_of_another_machine_that_are_not_those_of_the_line_are_not_used(
