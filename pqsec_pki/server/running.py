@@ -17,8 +17,7 @@ from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki._files import FileVersion, disk_errors, noted
-from pqsec_pki._owners import outsider, way_out
+from pqsec_pki._files import FileVersion, noted
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
@@ -26,7 +25,8 @@ from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.events import log
 from pqsec_pki.server.factories import read_factories
-from pqsec_pki.server.signer import SignerProcess, give_to, listening, owned, users_of
+from pqsec_pki.server.signer import SignerProcess, listening, owned, users_of
+from pqsec_pki.server.state_folder import state_held
 
 _FIRST_GIVEN = 3
 """The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
@@ -42,14 +42,20 @@ _END = 10
 Unlock = Callable[[Keystore], Authorities]
 
 
-def run_signer(
+def run_signer(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime]) -> None:
+    """Answer the front's calls until SIGTERM. Errors as of `state_held` and `_answer`."""
+    with state_held(settings):
+        _answer(settings, unlock, clock)
+
+
+def _answer(
     settings: ServerSettings,
     unlock: Unlock,
     clock: Callable[[], datetime],
     pass_on: Callable[[], None] = lambda: None,
     front_listens: Callable[[], bool] = lambda: True,
 ) -> None:
-    """Answer the front's calls until SIGTERM. Errors as of `Keystore.open` and `read_domain`.
+    """Answer calls, with the state folder held. Errors as of `Keystore.open` and `read_domain`.
 
     It reports to systemd that the service is ready when the front listens too.
     """
@@ -81,7 +87,6 @@ def run_signer(
         return listens
 
     users = users_of(settings.front_user)
-    make_state(settings)
     stay()
     listener = listening(settings.socket, settings.front_user)
     with listener:
@@ -100,37 +105,17 @@ def stay() -> None:
     gc.set_threshold(*_COLLECTED)
 
 
-def make_state(settings: ServerSettings) -> None:
-    """Make the state folder: for its owner, or also for the group of `front_user`.
-
-    FileError for one where others could put a socket of theirs: the front would send it tokens;
-    and for a folder of requests where others could put a request, or a pipe that never ends.
-    """
-    found = _own_folder(settings.state, "the signer cannot listen there")
-    if settings.requests:
-        _own_folder(settings.requests, "requests cannot wait there")
-    if settings.front_user and found.st_uid == os.geteuid():
-        with disk_errors(settings.state):
-            settings.state.chmod(0o750)  # whatever the umask is
-            give_to(settings.state, settings.front_user)
-
-
-def _own_folder(path: Path, what: str) -> os.stat_result:
-    """Make the folder, unless it is there; FileError, with `what`, if others may write there."""
-    with disk_errors(path):
-        path.mkdir(mode=0o700, exist_ok=True)
-        found = path.stat()
-    if why := outsider(found, roots=True):
-        raise FileError(f"{path}: {what}: {why}", hint=way_out(found, str(path)))
-    return found
-
-
 def run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime]) -> None:
     """Run the front as a process of its own, and the signer in this one.
 
-    KeystoreError if the front ends by itself, as when it cannot listen.
+    FileError as of `state_held`; KeystoreError if the front ends by itself, as when it cannot
+    listen.
     """
-    make_state(settings)
+    with state_held(settings):
+        _run_both(settings, unlock, clock)
+
+
+def _run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datetime]) -> None:
     notices = _notices(settings)
     front = _started(settings)
     ended: list[int] = []
@@ -145,7 +130,7 @@ def run_both(settings: ServerSettings, unlock: Unlock, clock: Callable[[], datet
     signal.signal(signal.SIGCHLD, child_ended)
     try:
         with notices, suppress(_GivenUpError):
-            run_signer(
+            _answer(
                 settings,
                 unlock,
                 clock,

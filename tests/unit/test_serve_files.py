@@ -15,10 +15,11 @@ from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.server import read_settings
 from pqsec_pki.server.call import CallKind
 from pqsec_pki.server.list_keeping import keep_list
-from pqsec_pki.server.running import make_state, run_both
+from pqsec_pki.server.running import run_both
+from pqsec_pki.server.state_folder import make_state
 from tests.unit.factory import Maker
 from tests.unit.keystores import DAY, NOW, made
-from tests.unit.serving import DOMAIN, HOST, Robot, Server
+from tests.unit.serving import DOMAIN, HOST, PATIENCE, Robot, Server
 from tests.unit.test_serve_hostile import until
 
 INVENTORY = "name,idevid\n/fleet/c1,acme:serialNumber=SN-1\n/fleet/c2,acme:serialNumber=SN-2\n"
@@ -161,3 +162,16 @@ def test_a_server_that_cannot_listen_issues_no_list(tmp_path, signals):
             run_both(read_settings(made.config), lambda _: time.sleep(60), lambda: NOW)
     assert (done.returncode, "cannot listen at" in done.stderr) == (3, True)
     assert "crl" not in {each.kind for each in made.keystore.ledger()}
+
+
+@pytest.mark.timeout(120)
+@pytest.mark.parametrize("part", ["both", "signer"])
+def test_a_second_server_by_mistake_leaves_the_first_its_socket(tmp_path, part):
+    """It took the signer's socket and ended: the first answered no robot until it was restarted."""
+    made = Server(tmp_path, datetime.now(UTC), "classical")
+    with made.running():
+        again = [*made.command, "--part", part]
+        done = subprocess.run(again, capture_output=True, text=True, check=False, timeout=PATIENCE)
+        assert (done.returncode, "another server uses this folder" in done.stderr) == (3, True)
+        robot = Robot(made, tmp_path / "robot", "/fleet/r1")
+        assert made.ask(robot.request, token=made.token("/fleet/r1")).status == 200

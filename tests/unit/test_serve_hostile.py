@@ -25,8 +25,9 @@ from pqsec_pki.est import TlsIdentity
 from pqsec_pki.server import read_settings
 from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Connections
-from pqsec_pki.server.running import make_state, notify
+from pqsec_pki.server.running import notify
 from pqsec_pki.server.signer import listening
+from pqsec_pki.server.state_folder import make_state
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.tls_sides import certificate
 
