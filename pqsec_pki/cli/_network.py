@@ -38,7 +38,8 @@ _OPTIONS: tuple[Callable[[_settings.Command], _settings.Command], ...] = (
         "server_pins",
         multiple=True,
         metavar="SHA256",
-        help="Trust the server whose key (SPKI) has this SHA-256; one option for each key.",
+        help="Trust the server whose key has this SHA-256, as `pqsec inspect` of its certificate"
+        " shows; one option for each key.",
     ),
     click.option(
         "--server-ca",

@@ -103,9 +103,15 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     # The ledger first: a token that is only in the file would not be valid.
     record_token(keystore, token, uses=uses, replaces=replaces, now=now)
     write(goal, token.to_bytes(), private=True)
-    if not any(matching(each, known) for each in name.split()):
+    named = [one for each in name.split() for one in matching(each, known)]
+    if not named:
         _printing.note(
             f"the token admits no participant: {settings.domain} does not name {shown(name)}"
+        )
+    elif not replaces and all(map(keystore.has, named)):
+        _printing.note(
+            f"{_printing.few(named)}: there is a certificate, which a token replaces only if it is"
+            " made with --replace"
         )
     line = f"{token.id}  {name}  until {said(token.not_after)}  {goal}"
     value = {"id": token.id, "names": name, "uses": uses, "file": goal}

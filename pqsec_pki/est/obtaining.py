@@ -88,10 +88,11 @@ def answer_to(client: EstClient, request: bytes, patience: timedelta = timedelta
             return answer
         wait = answer.retry_after.total_seconds()
         if time.monotonic() + wait > until:
+            sha256 = CertificateRequest.from_pem(request).fingerprint
             raise WaitingError(
-                f"{client.server} has the request, which waits for an approval:"
-                f" SHA-256 {CertificateRequest.from_pem(request).fingerprint}",
-                hint="run the command again later, with the same options: the request is the same",
+                f"{client.server} has the request, which waits for an approval: SHA-256 {sha256}",
+                hint=f"when `pqsec requests approve {sha256[:16]}` was run at the server, run the"
+                " command again, with the same options: the request is the same",
             )
         time.sleep(wait)
 

@@ -198,7 +198,10 @@ def _pinned(pins: frozenset[str]) -> Check:
     def check(_by: SSL.Connection, found: crypto.X509, _error: int, depth: int, _ok: int) -> bool:
         pin = spki_pin(_certificate(found))
         if depth == 0 and pin not in pins:
-            raise VerificationError(f"the server's key is not a pinned one: it has SHA-256 {pin}")
+            raise VerificationError(
+                f"the server's key is not a pinned one: it has SHA-256 {pin}",
+                hint="pin each of its keys: `pqsec inspect` shows them of its certificates",
+            )
         return True
 
     return check

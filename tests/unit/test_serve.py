@@ -160,6 +160,20 @@ def test_a_token_for_nobody_is_told_and_no_option_is_named_that_there_is_not(ser
     assert (refused.returncode, "--force" in refused.stderr) == (3, False)
 
 
+def test_a_token_that_could_not_replace_the_certificate_is_told_where_it_is_made(server, tmp_path):
+    """Only the robot was told, when it came with the token."""
+    enrolled(server, tmp_path, "/fleet/r3")
+
+    def noted(name, *more):
+        goal = tmp_path / f"{len(list(tmp_path.iterdir()))}.token"
+        create = ("enrolment-token", "create", name, "--config", "serve.yaml", "-o", str(goal))
+        return "/fleet/r3: there is a certificate" in server.cli(*create, *more).stderr
+
+    assert noted("/fleet/r3")
+    assert not noted("/fleet/r3", "--replace")
+    assert not noted("/fleet/*")
+
+
 def test_a_revoked_certificate_gets_nothing(server, tmp_path):
     robot, bundle = enrolled(server, tmp_path, "/other")
     identity = robot.identity(bundle)
