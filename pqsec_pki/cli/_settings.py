@@ -171,7 +171,7 @@ class FiniteRange(click.FloatRange):
 
 
 class Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
-    """A loss such as 2 or 2%, as 0.02; at most half."""
+    """A loss such as 2 or 2%, as 0.02; at most half. Below 1 it needs the %: 0.02 may mean 2%."""
 
     name = "percent"
 
@@ -187,6 +187,9 @@ class Percent(click.ParamType):  # type: ignore[type-arg] # generic in newer cli
             share = -1.0
         if not 0 <= share <= 0.5:  # noqa: PLR2004 -- beyond, hardly a message of 15 datagrams arrives
             self.fail(f"{value!r} is not a loss from 0% to 50%", param, ctx)
+        if 0 < share < 0.01 and not str(value).endswith("%"):  # noqa: PLR2004 -- one percent
+            percent = f"{float(str(value)) * 100:g}%"
+            self.fail(f"{value!r} is {percent} or {value}%: write one of them", param, ctx)
         return share
 
 

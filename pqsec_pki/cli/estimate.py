@@ -135,8 +135,8 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
     DDS. Two models answer, a closed form and a simulation; both are printed. Without
     --participants, the keystore's participants and the sizes of their own documents count.
     """
-    if plot and not force:
-        refuse_existing(plot)
+    if plot:
+        _refuse_plot(plot, force=force)
     version = _wire_version.version_of(wire_version)
     name, sizes = _fleet(participants, profile, version)
     scenario = Scenario(
@@ -156,6 +156,13 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
         write(plot, svg_of(found).encode(), force=force)
     value = {"profile": name, "wire_version": version, **found.to_json()}
     _printing.emit(value, _lines(f"{name}, messages of version {version}", found))
+
+
+def _refuse_plot(plot: Path, *, force: bool) -> None:
+    if plot.suffix != ".svg":
+        raise UsageError("the plot is SVG: name a file as mesh.svg")
+    if not force:
+        refuse_existing(plot)
 
 
 def _second(

@@ -30,11 +30,13 @@ from pqsec_pki.report import (
 from pqsec_pki.smime import Signer, sign
 from pqsec_pki.tokens import key_in
 
+_FORMATS = ("html", "json", "csv")
+
 
 @_help.command(
     examples={
         "Write a page for any browser": "pqsec report -o report.html",
-        "Keep the data, to compare the next report with": "pqsec report --format json -o june.json",
+        "Keep the data, to compare the next report with": "pqsec report -o june.json",
         "Show what changed since an earlier one": "pqsec report --compare may.json -o june.html",
         "Sign it; `pqsec verify june.html.p7s` checks it": "pqsec report --sign -o june.html",
         "Add the steps to profile pq for robots with Cyclone DDS": (
@@ -51,10 +53,8 @@ from pqsec_pki.tokens import key_in
 @click.option(
     "--format",
     "form",
-    type=click.Choice(["html", "json", "csv"]),
-    default="html",
-    show_default=True,
-    help="Write in this format.",
+    type=click.Choice(_FORMATS),
+    help="Write in this format.  [default: as the name of FILE ends, else html]",
 )
 @click.option(
     "-o", "--output", type=_settings.FILE, help="Write to this file.  [default: standard output]"
@@ -93,7 +93,7 @@ from pqsec_pki.tokens import key_in
 @_passphrases.option
 @_settings.command_options
 def report(  # noqa: PLR0913 -- one for each option, by name
-    form: str,
+    form: str | None,
     output: Path | None,
     earlier: Path | None,
     signer: tuple[Path, Path] | None,
@@ -113,7 +113,7 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     policy and weaknesses: it is readable for its owner only.
     """
     is_signed = is_signed or signer is not None
-    form = "json" if _settings.settings().json else form
+    form = "json" if _settings.settings().json else form or _named_form(output)
     _refuse_places(form, output, is_signed=is_signed, force=force)
     before = read_earlier(earlier) if earlier else None
     keystore = _settings.open_keystore()
@@ -128,6 +128,12 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     else:
         _printing.say(text.rstrip("\n"))
     _refuse_gaps(found)
+
+
+def _named_form(output: Path | None) -> str:
+    """The format that the name of the file says."""
+    suffix = output.suffix.removeprefix(".") if output else ""
+    return suffix if suffix in _FORMATS else _FORMATS[0]
 
 
 def _refuse_places(form: str, output: Path | None, *, is_signed: bool, force: bool) -> None:

@@ -10,7 +10,7 @@ from pqsec_pki.handshake import MAX_SAMPLE
 FLEET = "estimate --participants 4 --profile pq --loss 2%"
 
 
-@pytest.mark.parametrize(("given", "said"), [("2%", "2%"), ("5", "5%"), ("0.05", "0.05%")])
+@pytest.mark.parametrize(("given", "said"), [("2%", "2%"), ("5", "5%"), ("0.05%", "0.05%")])
 def test_a_loss_is_printed_as_it_is_given(pqsec, given, said):
     told = pqsec(f"estimate --participants 2 --profile pq --loss {given}").done().out
     assert f", {said} of all frames lost" in told.splitlines()[0]
