@@ -183,7 +183,7 @@ def note_doubtful_topics(keystore: Keystore, names: Collection[str]) -> None:
 
 def _note_ros_name(option: str, topic: str) -> None:
     """Note that a DDS topic has the form of a ROS 2 name: ROS 2 nodes do not use it."""
-    if topic.startswith("/") and ros.fault(topic) is None:
+    if ros.is_ros_name(topic):
         _printing.note(
             f"{topic} is a DDS topic here, and ROS 2 nodes use {ros.topic(topic)}: for that, use"
             f" --ros-{option} {topic}"

@@ -1,6 +1,6 @@
 """Shared by commands with policies: read and write documents, find grants by name."""
 
-from collections.abc import Container
+from collections.abc import Container, Iterable
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -9,7 +9,7 @@ import click
 
 from pqsec_pki import _files, documents
 from pqsec_pki.cli import _printing, _settings
-from pqsec_pki.documents import DomainSet, Grant, lasting
+from pqsec_pki.documents import DomainSet, Grant, lasting, ros
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.lifecycle import ParticipantSpec
 
@@ -82,7 +82,21 @@ def with_grants(
     grants = grants_in(policy, specs[0], now)  # all specs have the same validity
     if policy.suffix == ".xml":
         _note_completed(policy, {spec.name for spec in specs})
-    return [_with_grants(spec, grants, policy) for spec in specs]
+    found = [_with_grants(spec, grants, policy) for spec in specs]
+    note_ros_names(grant for spec in found for grant in spec.grants)
+    return found
+
+
+def note_ros_names(grants: Iterable[Grant]) -> None:
+    """Note in one line which DDS topics have the form of ROS 2 names: no ROS 2 node uses them."""
+    rules = (rule for grant in grants for rule in grant.rules)
+    criteria = (each for rule in rules for each in (*rule.publish, *rule.subscribe))
+    topics = (topic for each in criteria for topic in each.topics)
+    if found := list(dict.fromkeys(filter(ros.is_ros_name, topics))):
+        _printing.note(
+            f"DDS topics here: {_printing.few(found)}; ROS 2 nodes use {ros.topic(found[0])}: write"
+            " that, or the ROS 2 name below `nodes`"
+        )
 
 
 def grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:

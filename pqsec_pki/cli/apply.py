@@ -17,6 +17,7 @@ from pqsec_pki.cli.plan import (
     file_argument,
     new_keys_option,
     note_left,
+    note_roles,
     only_option,
     prune_option,
     show,
@@ -141,7 +142,7 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         keystore, done = _made(desired, keystore, found, passphrases, folder)
     written = _BundleWriter(desired, keystore, found, folder).fill(len(done)) if keystore else []
     if keystore and (written or changes):
-        _report(found, done, keystore, written)
+        _report(desired, found, done, keystore, written)
     else:
         show(found, desired)
     if found.blocked or (check and found.steps):
@@ -296,13 +297,16 @@ def _apply_steps(
     return done
 
 
-def _report(found: Plan, done: list[Step], keystore: Keystore, written: list[Path]) -> None:
+def _report(
+    desired: Desired, found: Plan, done: list[Step], keystore: Keystore, written: list[Path]
+) -> None:
     if found.changes_profile:
         _printing.note(
             "copy to every robot its enclave folder, with the files that its links point to, and"
             " restart all participants of a domain together; run apply again for other changes"
         )
     _note_blocked(found)
+    note_roles(desired)
     note_left(found)
     if any(step.action in {StepAction.REVOKE, StepAction.RENEW_CRL} for step in done):
         _printing.note("there is a new revocation list: copy it to every robot")

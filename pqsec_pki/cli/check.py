@@ -29,7 +29,7 @@ from pqsec_pki.stacks import Stack, stack_named
 _WORST = [Severity.ERROR, Severity.WARNING, Severity.INFO]
 _GROUPED = 2
 """Fewer equal findings after a first one are lines of their own."""
-_GITLAB = "gitlab"
+_GITLAB, _SARIF = "gitlab", "sarif"
 _COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
 
 
@@ -82,8 +82,8 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     shell_complete=_completion.among(Stack),
 )
 @click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
-@_formats.option(_GITLAB)
-@click.option("--sarif", is_flag=True, help="Print the result as SARIF 2.1.0.")
+@_formats.option(_GITLAB, _SARIF)
+@click.option("--sarif", is_flag=True, help="The same as --format sarif: print SARIF 2.1.0.")
 @click.option(
     "--explain",
     metavar="ID",
@@ -130,7 +130,7 @@ def check(  # noqa: PLR0913 -- one for each option
     if explain:
         _explain(rule_named(explain))
         return
-    if sarif and _formats.chosen(form) != _formats.TABLE:
+    if sarif and _formats.chosen(form) not in {_formats.TABLE, _SARIF}:
         option = "json" if form in {_formats.TABLE, _formats.JSON} else "format"
         raise UsageError(f"--{option} and --sarif exclude each other")
     known = Baseline.read(baseline) if baseline else None
@@ -143,7 +143,7 @@ def check(  # noqa: PLR0913 -- one for each option
     )
     if known:
         report = _without_known(report, known)
-    if sarif:
+    if sarif or _formats.chosen(form) == _SARIF:
         _printing.emit(None, [json.dumps(to_sarif(report), indent=2)], verbatim=True)
     elif _formats.chosen(form) == _GITLAB:
         issues = to_code_quality(report)

@@ -156,11 +156,16 @@ def _mode(names: tuple[str, ...]) -> str:
         raise UsageError(f"{mode} takes no participants, but {len(names)} are named")
     enough = not names or len(names) >= _PAIR if mode == "--all" else len(names) == _PAIR
     if mode != "--matrix" and not enough:
+        more = "--all with the same names runs all their pairs" if len(names) > _PAIR else ""
         raise UsageError(
-            f"a handshake needs two participants, but {len(names)} are named",
-            hint="name two, as in `pqsec verify-handshake /talker /listener`; --all runs all pairs",
+            f"a handshake needs two participants, but {_named(len(names))}",
+            hint=more or "name two, as in `pqsec verify-handshake /talker /listener`",
         )
     return mode
+
+
+def _named(count: int) -> str:
+    return f"{count} {'is' if count == 1 else 'are'} named"
 
 
 def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:

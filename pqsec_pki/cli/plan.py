@@ -11,6 +11,7 @@ from pqsec_pki import _files
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.approvals import MAX_PROPOSAL, approve, proposal_file
 from pqsec_pki.cli import _approver, _help, _printing, _settings
+from pqsec_pki.cli._policy import note_ros_names
 from pqsec_pki.domain import (
     Desired,
     Plan,
@@ -191,10 +192,16 @@ def show(found: Plan, desired: Desired, *, written: Path | None = None) -> None:
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
         _printing.note(f"the governance does not name domain {where}: no participant can join it")
+    note_roles(desired)
     note_left(found)
     if found.unlisted:
         names = _printing.few(found.unlisted)
         _printing.note(f"not in {desired.path}: {names}; --prune revokes them")
+
+
+def note_roles(desired: Desired) -> None:
+    """Note which topics of roles look like mistakes."""
+    note_ros_names(grant for spec in desired.examples for grant in spec.grants)
 
 
 def note_left(found: Plan) -> None:

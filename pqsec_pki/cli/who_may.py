@@ -83,11 +83,11 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
     help="Show only the topics of this ROS 2 action, or of a pattern.",
 )
 @click.option(
-    "--ros-node",
-    "ros_nodes",
+    "--ros-parameters",
+    "ros_parameters",
     multiple=True,
     metavar="NODE",
-    help="Show only the parameters of this ROS 2 node: who may read and set them.",
+    help="Show only who may read and set the parameters of this ROS 2 node.",
 )
 @click.option(
     "--participant",
@@ -125,7 +125,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     ros_topics: tuple[str, ...],
     ros_services: tuple[str, ...],
     ros_actions: tuple[str, ...],
-    ros_nodes: tuple[str, ...],
+    ros_parameters: tuple[str, ...],
     participants: tuple[str, ...],
     domains: str | None,
     governance: Path | None,
@@ -148,7 +148,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if matrix and form in {"dot", "md"}:
         raise UsageError("--matrix is printed as table, json or csv")
     chosen = _chosen(fleet, participants)
-    wanted = (*topics, *_of_ros(ros_topics, ros_services, ros_actions, ros_nodes))
+    wanted = (*topics, *_of_ros(ros_topics, ros_services, ros_actions, ros_parameters))
     if "" in wanted:
         raise UsageError("the topic is empty")
     found = who_may_use(fleet, wanted, domains=where, now=now, interpretation=interpretation)
@@ -188,7 +188,9 @@ def _note_doubts(found: WhoMay) -> None:
     used = {each.row.topic for each in found.rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():
         nobody = "" if topic in used else ", so nobody may use it"
-        more = f"; {instead}" if instead else ""
+        is_ros = not instead and ros.is_ros_name(topic)
+        fix = f"ROS 2 nodes use {ros.topic(topic)}: --ros-topic {topic}" if is_ros else instead
+        more = f"; {fix}" if fix else ""
         _printing.note(f"no rule names {printable(topic)}{nobody}{more}")
     if found.too_long:
         names = _printing.few([f"{each[:20]}..." for each in found.too_long])
@@ -211,7 +213,9 @@ def _fleet(
             else fleet_in(_settings.open_keystore(), now, interpretation)
         )
     except MissingError as error:
-        error.hint = error.hint or "a topic is named with --topic or --ros-topic"
+        error.hint = error.hint or (
+            "a topic is named with --topic or --ros-topic, a participant with --participant"
+        )
         raise
     for text in fleet.notes:
         _printing.note(text)

@@ -216,6 +216,11 @@ def is_of_every_node(topic: str) -> bool:
     return topic in _OF_EVERY_NODE or _OF_A_NODE.search(topic) is not None
 
 
+def is_ros_name(topic: str) -> bool:
+    """Whether a DDS topic has the form of a ROS 2 topic, `/x`: ROS 2 nodes use `rt/x`."""
+    return topic.startswith("/") and fault(topic) is None
+
+
 def doubled_slash(topic: str) -> bool:
     """Whether a DDS topic has the prefix of ROS 2 and `//`, which no ROS 2 topic has."""
     return topic.startswith(("rt/", "rq/", "rr/")) and "//" in topic

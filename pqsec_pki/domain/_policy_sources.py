@@ -3,6 +3,7 @@
 from contextlib import suppress
 from datetime import datetime, timedelta
 from pathlib import Path
+from shlex import quote
 
 from pqsec_pki._files import read
 from pqsec_pki.certificates import MAX_COMMON_NAME
@@ -49,7 +50,8 @@ def sros2_policy_source(path: Path, domains: DomainSet, now: datetime) -> Import
     if lacking:
         source.notes.append(
             f"{path}: {lacking[0]}{' and others' * (len(lacking) > 1)} lacks topics that a Jazzy"
-            " node needs to start: import what `pqsec permissions import --complete` writes"
+            f" node needs to start: `pqsec permissions import --complete {quote(str(path))} -o"
+            " complete.yaml` adds them; then import that file"
         )
     _add_subjects(source, permissions, now)
     return source

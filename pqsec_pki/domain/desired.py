@@ -144,6 +144,12 @@ class Desired:
         return hashlib.sha256(repr(self.governance).encode()).hexdigest()
 
     @property
+    def examples(self) -> list[ParticipantSpec]:
+        """One participant of each role, for what roles have in common."""
+        one_of_each = {member.role: member for member in self.members.values()}
+        return [member.spec() for member in one_of_each.values()]
+
+    @property
     def ungoverned(self) -> list[int]:
         """Domains of participants that the governance does not have."""
         wanted = {domain for each in self._domain_sets for domain in each.ids()}

@@ -17,6 +17,7 @@ from collections.abc import Mapping
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from string import Template
 from typing import Any
 
@@ -56,7 +57,7 @@ from pqsec_pki.domain._groups import groups_in, members_of_groups
 from pqsec_pki.domain._members import members_of
 from pqsec_pki.domain._roles import entry_in, roles_in
 from pqsec_pki.domain.desired import Desired, Role, validity_in
-from pqsec_pki.errors import located, shown
+from pqsec_pki.errors import MissingError, located, shown
 from pqsec_pki.stacks import Stack
 
 YEAR = timedelta(days=365)
@@ -69,7 +70,12 @@ def read_domain(path: Path) -> Desired:
 
     InvalidDocumentError with the file and all its problems; FileError if a file cannot be read.
     """
-    return desired_in(read_file(path), path)
+    try:
+        data = read_file(path)
+    except MissingError as error:
+        error.hint = f"`pqsec plan --init {quote(str(path))}` writes one to edit"
+        raise
+    return desired_in(data, path)
 
 
 def desired_in(data: bytes, path: Path) -> Desired:

@@ -117,7 +117,7 @@ if TYPE_CHECKING:
         load_participant,
         load_revocation_list,
     )
-    from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching
+    from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching, nearest
     from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
     from pqsec_pki.keystore.registering import (
         ORDER,
@@ -225,6 +225,7 @@ __all__ = [
     "load_revocation_list",
     "matching",
     "moved_entry",
+    "nearest",
     "order_entry",
     "order_in",
     "overview_of",

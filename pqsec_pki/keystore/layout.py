@@ -75,7 +75,8 @@ def enclave_name(text: str) -> str:
             raise UsageError(
                 f"'{shown(text)}' cannot be a participant's name:"
                 f" '{shown(segment)}' is not allowed in it",
-                hint="write names like /talker or /fleet/robot1: letters, digits, _ - and .",
+                hint="write names like /talker or /fleet/robot1: letters, digits, _ - and .;"
+                " in patterns also * and **",
             )
     if not segments:
         raise UsageError(f"'{shown(text)}' cannot be a participant's name", hint="write /talker")

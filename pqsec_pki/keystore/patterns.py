@@ -54,9 +54,17 @@ def _refusing_none(pattern: str, known: Sequence[str]) -> list[str]:
         raise KeystoreError(
             f"no participant matches {shown(pattern)}",
             code=Code.FILE_MISSING,
-            hint=meant(_whole(pattern), known) or "`pqsec status` lists the participants",
+            hint=nearest(pattern, known) or "`pqsec status` lists the participants",
         )
     return found
+
+
+def nearest(pattern: str, known: Sequence[str]) -> str:
+    """What of `known` a pattern that matches none may have meant, in words; or ''."""
+    deeper = re.sub(r"\*+", "**", _whole(pattern))
+    if matching(deeper, known):
+        return f"* stands for no /, and ** does: '{shown(deeper)}'"
+    return meant(_whole(pattern), known)
 
 
 def _members(

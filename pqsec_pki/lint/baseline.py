@@ -13,13 +13,14 @@ from typing import Any, Self, TypeAlias
 
 from pqsec_pki import _files
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.errors import MalformedError, located
+from pqsec_pki.errors import MalformedError, MissingError, located
 from pqsec_pki.lint.rule import Finding
 from pqsec_pki.lint.run import LintReport
 
 MAX_BASELINE = 64 << 20
 """Bytes. A finding has about 600."""
 REASON = "in the baseline"
+_TO_WRITE = "write one: `pqsec check --json > FILE`, with the same paths"
 _Key: TypeAlias = tuple[str, str, str]
 
 
@@ -32,7 +33,11 @@ class Baseline:
     @classmethod
     def read(cls, path: Path) -> Self:
         """Read the file; FileError, or MalformedError if it is not what check prints as JSON."""
-        data = _files.read(path, limit=MAX_BASELINE)
+        try:
+            data = _files.read(path, limit=MAX_BASELINE)
+        except MissingError as error:
+            error.hint = _TO_WRITE
+            raise
         with located(path):
             try:
                 found = json.loads(data)["findings"]
@@ -40,7 +45,7 @@ class Baseline:
             except (ValueError, KeyError, TypeError, RecursionError) as error:
                 raise MalformedError(
                     "not a baseline: it has no findings as `pqsec check --json` prints them",
-                    hint="write one: `pqsec check --json > FILE`, with the same paths",
+                    hint=_TO_WRITE,
                 ) from error
 
     def apart(self, report: LintReport) -> tuple[LintReport, int]:

@@ -131,7 +131,8 @@ def _keystore(enclave: StackEnclave) -> PurePosixPath:
     if not keystore.is_absolute() or keystore / here != enclave.at:
         raise UsageError(
             f"{shown(str(enclave.at))} does not end in {here}",
-            hint=f"ROS 2 finds enclaves in a keystore: write --at /KEYSTORE/{here}",
+            hint=f"ROS 2 finds enclaves in a keystore: write --at /KEYSTORE/{here};"
+            " for several participants, --at /KEYSTORE/enclaves",
         )
     return keystore
 

@@ -1086,7 +1086,7 @@ def test_services_actions_and_nodes_are_asked_by_their_names(pqsec, fleet_of_nod
     assert set(action) == set(ros.action_topics("/cook"))
     assert action["rt/cook/_action/feedback"] == (["/bot/cook"], ["/desk"])
     assert set(users("--ros-action '/c*'")) == set(action)
-    parameters = users("--ros-node /bot/server")
+    parameters = users("--ros-parameters /bot/server")
     assert parameters["rq/bot/server/set_parametersRequest"] == ([], ["/bot/server"])
     assert len(parameters) == 12
     pqsec(f"{fleet_of_nodes} --ros-service reset").refused(2, "not a full ROS 2 name")

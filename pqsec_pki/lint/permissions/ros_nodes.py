@@ -106,5 +106,5 @@ def doubled_slash(document: PermissionsFile) -> Iterator[Violation]:
 )  # fmt: skip
 def ros_name(document: PermissionsFile) -> Iterator[Violation]:
     for node in document.all("topic"):
-        if node.value.startswith("/") and ros.fault(node.value) is None:
+        if ros.is_ros_name(node.value):
             yield document.at(node, f"{node.value[:60]!a}: ROS 2 nodes use rt{node.value[:60]}")
