@@ -91,8 +91,8 @@ def answer_to(client: EstClient, request: bytes, patience: timedelta = timedelta
             sha256 = CertificateRequest.from_pem(request).fingerprint
             raise WaitingError(
                 f"{client.server} has the request, which waits for an approval: SHA-256 {sha256}",
-                hint=f"when `pqsec requests approve {sha256[:16]}` was run at the server, run the"
-                " command again, with the same options: the request is the same",
+                hint=f"when `pqsec requests approve {sha256[:16]} --config serve.yaml` was run at"
+                " the server, run the command again, with the same options: the request stays",
             )
         time.sleep(wait)
 

@@ -143,7 +143,7 @@ def _token(ledger: Ledger, token: str) -> Entry:
             return entry
     raise KeystoreError(
         f"the ledger has no enrolment token {shown(token)}",
-        hint="`pqsec enrolment-token list` lists them",
+        hint="`pqsec enrolment-token list --config serve.yaml` lists them",
     )
 
 

@@ -127,7 +127,8 @@ class WaitingRequests:
     def named(self, text: str) -> WaitingRequest:
         """The request whose SHA-256 begins so; UsageError if there is none, or several."""
         found = [each for each in self.all() if each.sha256.startswith(text.lower())]
-        hint = f"give {_SHORTEST} digits or more of what `pqsec requests list` shows"
+        listed = "`pqsec requests list --config serve.yaml`"
+        hint = f"give {_SHORTEST} digits or more of what {listed} shows"
         if len(text) < _SHORTEST:
             raise UsageError(f"'{shown(text)}' is too short for a request's SHA-256", hint=hint)
         if len(found) != 1:

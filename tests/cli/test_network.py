@@ -142,7 +142,9 @@ def test_what_the_timer_gets_is_an_exit_code(pqsec, enrolled, server):
 def test_an_approval_is_waited_for_by_the_next_run(pqsec, token, server):
     server.waiting = 1
     pqsec("enrol --token-file robot1.token --dir r").refused(
-        3, "waits for an approval", hint="was run at the server, run the command again"
+        3,
+        "waits for an approval",
+        hint=" --config serve.yaml` was run at the server, run the command again",
     )
     pqsec("enrol --token-file robot1.token --dir r").done()
 

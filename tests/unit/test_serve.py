@@ -160,6 +160,14 @@ def test_a_token_for_nobody_is_told_and_no_option_is_named_that_there_is_not(ser
     assert (refused.returncode, "--force" in refused.stderr) == (3, False)
 
 
+def test_hints_about_tokens_and_requests_work_as_they_are_pasted(server):
+    """They lacked --config, without which each command is refused."""
+    for words in (("enrolment-token", "revoke", "0" * 16), ("requests", "approve", "1234")):
+        refused = server.cli(*words, "--config", "serve.yaml", check=False)
+        [command] = re.findall("hint: .*`pqsec (.*)`", refused.stderr)
+        server.cli(*command.split())
+
+
 def test_a_token_that_could_not_replace_the_certificate_is_told_where_it_is_made(server, tmp_path):
     """Only the robot was told, when it came with the token."""
     enrolled(server, tmp_path, "/fleet/r3")
