@@ -11,6 +11,8 @@ from pqsec_pki.errors import MalformedError
 T = TypeVar("T")
 _LEAST_ELEMENT = 8
 """Minimum size of an element in bytes: each begins with two lengths or more."""
+_SHORT = 64
+"""Bytes of a name, at most, that is kept in the cache: a peer chooses them."""
 _FILL = (b"", b"\0\0\0", b"\0\0", b"\0")
 """Padding from an offset, modulo 4, to the next aligned number."""
 
@@ -42,18 +44,16 @@ class CdrWriter:
         self._order = order
         self._parts: list[bytes] = []
 
-    @property
-    def _size(self) -> int:
-        return sum(map(len, self._parts))
-
     def raw(self, data: bytes) -> None:
         self._parts.append(data)
 
     def u32(self, value: int) -> None:
-        self._parts += (_FILL[self._size & 3], self._order.u32.pack(value))
+        parts = self._parts
+        parts += (_FILL[sum(map(len, parts)) & 3], self._order.u32.pack(value))
 
     def i64(self, value: int) -> None:
-        self._parts += (bytes(-self._size & 7), self._order.i64.pack(value))
+        parts = self._parts
+        parts += (bytes(-sum(map(len, parts)) & 7), self._order.i64.pack(value))
 
     def octets(self, data: bytes) -> None:
         self.u32(len(data))
@@ -130,7 +130,8 @@ class CdrReader:
                 stop = name + length(data, name - 4)[0]
                 value = (stop + 7) & -4
                 end = value + length(data, value - 4)[0]
-                found.append((_text(data[name:stop]), data[value:end]))
+                text = (_known if stop - name <= _SHORT else _text)(data[name:stop])
+                found.append((text, data[value:end]))
         except struct.error:
             raise MalformedError("a number runs past the end") from None
         if end > len(data):  # an earlier length past the end would have left no next number
@@ -140,7 +141,7 @@ class CdrReader:
 
     def _count(self, limit: int) -> int:
         count = self.u32()
-        if count > limit or count * _LEAST_ELEMENT > self.left:
+        if count > limit or count * _LEAST_ELEMENT > len(self._data) - self._at:
             raise MalformedError(f"{count} elements, more than allowed or than there is room for")
         return count
 
@@ -161,3 +162,7 @@ def _text(octets: bytes) -> str:
         return text.decode()
     except UnicodeDecodeError:
         raise MalformedError("a string that is not UTF-8") from None
+
+
+_known = lru_cache(maxsize=64)(_text)
+"""A cache for names of properties, as `ByteOrder.label`."""

@@ -6,9 +6,8 @@ Values keep the octets as received, because the hashes cover these.
 
 import hashlib
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import fields, replace
-from operator import attrgetter
 from typing import Any, ClassVar, Self
 
 from pqsec_pki._dataclass import dataclass
@@ -61,13 +60,25 @@ class Introduction:
 
     @property
     def properties(self) -> tuple[BinaryProperty, ...]:
-        return tuple(zip(self.NAMES, _INTRODUCED(self), strict=True))
+        return (
+            ("c.id", self.certificate),
+            ("c.perm", self.permissions),
+            ("c.pdata", self.participant_data),
+            ("c.dsign_algo", self.signature_algorithm),
+            ("c.kagree_algo", self.key_agreement),
+        )
 
     @classmethod
     def of(cls, found: Mapping[str, bytes], version: WireVersion) -> Self:
         """The introduction in the binary properties `found`, which have all of NAMES."""
-        certificate, permissions, data, signature, agreement = (found[name] for name in cls.NAMES)
-        return cls(certificate, permissions, data, signature, agreement, version)
+        return cls(
+            found["c.id"],
+            found["c.perm"],
+            found["c.pdata"],
+            found["c.dsign_algo"],
+            found["c.kagree_algo"],
+            version,
+        )
 
     @property
     def signature_algorithm_name(self) -> str:
@@ -100,20 +111,6 @@ class Introduction:
         )
 
 
-_INTRODUCED = attrgetter(*(each.name for each in fields(Introduction) if each.name != "version"))
-
-
-def _picked(*names: str) -> Callable[[object], tuple[BinaryProperty, ...]]:
-    """A function that returns these attributes of a value, each with its name."""
-    values = attrgetter(*names)
-    return lambda value: tuple(zip(names, values(value), strict=True))
-
-
-_ALL_SIX = _picked("hash_c1", "hash_c2", "challenge1", "challenge2", "dh1", "dh2")
-_IN_REPLY = _picked("hash_c2", "challenge2", "dh2", "challenge1", "dh1", "hash_c1")
-_IN_FINAL = _picked("hash_c1", "challenge1", "dh1", "challenge2", "dh2", "hash_c2")
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Transcript:
     """The six values that both signatures cover, each side's own first."""
@@ -127,23 +124,48 @@ class Transcript:
 
     def values(self) -> dict[str, bytes]:
         """The six by name, as Reply and Final repeat them."""
-        return dict(_ALL_SIX(self))
+        return {
+            "hash_c1": self.hash_c1,
+            "hash_c2": self.hash_c2,
+            "challenge1": self.challenge1,
+            "challenge2": self.challenge2,
+            "dh1": self.dh1,
+            "dh2": self.dh2,
+        }
 
     def reply_octets(self) -> bytes:
         """What the Reply's signature covers (9.3.2.5.2, table 50)."""
-        return encode_properties(_IN_REPLY(self))
+        return encode_properties(
+            (
+                ("hash_c2", self.hash_c2),
+                ("challenge2", self.challenge2),
+                ("dh2", self.dh2),
+                ("challenge1", self.challenge1),
+                ("dh1", self.dh1),
+                ("hash_c1", self.hash_c1),
+            )
+        )
 
     def final_octets(self) -> bytes:
         """What the Final's signature covers (9.3.2.5.3, table 51)."""
-        return encode_properties(_IN_FINAL(self))
+        return encode_properties(
+            (
+                ("hash_c1", self.hash_c1),
+                ("challenge1", self.challenge1),
+                ("dh1", self.dh1),
+                ("challenge2", self.challenge2),
+                ("dh2", self.dh2),
+                ("hash_c2", self.hash_c2),
+            )
+        )
 
     def differences(self, message: "Reply | Final") -> list[Problem]:
         """One problem for each repeated value in `message` that differs from the original."""
         code = Code.C19 if isinstance(message, Reply) else Code.C23
         return [
             Problem(f"{name} is not as expected", code)
-            for (name, value), (_, repeated) in zip(_ALL_SIX(self), _ALL_SIX(message), strict=True)
-            if repeated not in (None, value)
+            for name, value in self.values().items()
+            if getattr(message, name) not in (None, value)
         ]
 
 
