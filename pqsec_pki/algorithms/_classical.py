@@ -1,6 +1,7 @@
 """ECDSA, RSA and EdDSA: the algorithms of today's stacks, and components of composites."""
 
 from dataclasses import field
+from functools import cache
 from typing import Any
 
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -28,17 +29,13 @@ _HASHES: dict[str, Hash] = {
 }
 
 
-def _identifiers(oids: dict[str, str], *, null: bool) -> dict[bytes, Hash]:
-    return {encode(algorithm(oid, null=null)): _HASHES[name] for name, oid in oids.items()}
-
-
 # RFC 5758 3.2: parameters absent. RFC 4055 5: parameters NULL.
 ECDSA_WITH = {f"sha{n}": f"1.2.840.10045.4.3.{arc}" for n, arc in ((256, 2), (384, 3), (512, 4))}
 RSA_WITH = {
     f"sha{n}": f"1.2.840.113549.1.1.{n_arc}" for n, n_arc in ((256, 11), (384, 12), (512, 13))
 }
-_ECDSA_HASH = _identifiers(ECDSA_WITH, null=False)
-_RSA_HASH = _identifiers(RSA_WITH, null=True)
+_ECDSA_DIGEST = {encode(algorithm(oid)): name for name, oid in ECDSA_WITH.items()}
+_RSA_HASH = {encode(algorithm(oid, null=True)): _HASHES[name] for name, oid in RSA_WITH.items()}
 _LONGEST_SALT, _ANY_SALT = (
     padding.PSS(padding.MGF1(hashes.SHA256()), salt)
     for salt in (padding.PSS.MAX_LENGTH, padding.PSS.AUTO)
@@ -47,6 +44,11 @@ _HASH_SALT = {
     name: padding.PSS(padding.MGF1(hash_), hash_.digest_size) for name, hash_ in _HASHES.items()
 }
 _RSA_ENCRYPTION = encode(algorithm("1.2.840.113549.1.1.1", null=True))
+
+
+@cache
+def _ecdsa(digest: str) -> ec.ECDSA:
+    return ec.ECDSA(_HASHES[digest])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,14 +92,14 @@ class Ecdsa(SignatureAlgorithm):
         return key
 
     def sign(self, handle: Any, data: bytes) -> bytes:
-        signature: bytes = handle.sign(data, ec.ECDSA(_HASHES[self.digest.name]))
+        signature: bytes = handle.sign(data, _ecdsa(self.digest.name))
         return signature
 
     def accepts(self, identifier: bytes) -> bool:
-        return identifier in _ECDSA_HASH
+        return identifier in _ECDSA_DIGEST
 
     def check(self, handle: Any, signature: bytes, data: bytes, identifier: bytes) -> None:
-        handle.verify(signature, data, ec.ECDSA(_ECDSA_HASH[identifier]))
+        handle.verify(signature, data, _ecdsa(_ECDSA_DIGEST[identifier]))
 
     def generate_handle(self) -> Any:
         return ec.generate_private_key(self.curve)
