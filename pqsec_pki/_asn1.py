@@ -62,6 +62,7 @@ __all__ = [
     "Validity",
     "algorithm",
     "attribute",
+    "begins",
     "bits",
     "content",
     "decode",
@@ -167,6 +168,12 @@ def content(der: bytes) -> bytes:
     """The content of the value `der`, without its header."""
     start, end = _extent(der, 0)
     return der[start:end]
+
+
+def begins(der: bytes, octets: bytes) -> bool:
+    """Whether the content of the value `der` begins with `octets`."""
+    size = der[1]
+    return der.startswith(octets, 2 if size <= _SHORT else 2 + (size & _SHORT))
 
 
 def _extent(der: bytes, at: int) -> tuple[int, int]:

@@ -8,12 +8,12 @@ import hashlib
 from dataclasses import field, replace
 from datetime import datetime
 from functools import cached_property
-from typing import Self, TypeVar
+from typing import Any, Self, TypeVar
 from weakref import WeakValueDictionary
 
 from cryptography import x509
 
-from pqsec_pki._asn1 import AlgorithmIdentifier, content, decode, elements, plain_words
+from pqsec_pki._asn1 import AlgorithmIdentifier, begins, content, decode, elements, plain_words
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
     PublicKey,
@@ -69,7 +69,7 @@ class Certificate:
             raise MalformedError(f"a certificate larger than {MAX_CERTIFICATE} bytes")
         # Split here; the library parses all of it below, and accepts only DER.
         tbs, identifier, signature = elements(der, 3, "certificate")
-        first = content(tbs)[:1] == _VERSION
+        first = begins(tbs, _VERSION)
         serial, inner, issuer, _, subject, spki = elements(tbs, first + 6, "certificate")[first:]
         if inner != identifier:
             raise MalformedError("the certificate names two different signature algorithms")
@@ -77,25 +77,21 @@ class Certificate:
         serial_number = int.from_bytes(content(serial), signed=True)
         if serial_number <= 0:
             raise MalformedError("the certificate's serial number is not positive")
-        parsed = _library_view(der)
+        parsed = _parsed(der, issuer)
         if content(signature)[0]:
             raise MalformedError("the certificate's signature is not a whole number of bytes")
+        if subject == issuer:
+            _AUTHORITIES.setdefault(subject, parsed["subject"])
         return cls(
             der=der,
             tbs=tbs,
-            subject=parsed.subject,
-            issuer=parsed.issuer,
             subject_der=subject,
             issuer_der=issuer,
             serial_number=serial_number,
-            version=parsed.version.value + 1,
-            not_before=parsed.not_valid_before_utc,
-            not_after=parsed.not_valid_after_utc,
             spki=spki,
-            extensions=parsed.extensions,
             identifier=identifier,
-            signature=parsed.signature,
-            alternative=Alternative.of(tbs, parsed.extensions),
+            alternative=Alternative.of(tbs, parsed["extensions"]),
+            **parsed,
         )
 
     @classmethod
@@ -258,15 +254,23 @@ class Certificate:
 
 _IN_USE: WeakValueDictionary[bytes, Certificate] = WeakValueDictionary()
 """DER -> the certificate, of those that `shared` made."""
+_AUTHORITIES: WeakValueDictionary[bytes, x509.Name] = WeakValueDictionary()
+"""DER -> the name, of CAs in use: what they issued shares it, so it is parsed once."""
 
 
-def _library_view(der: bytes) -> x509.Certificate:
-    """The certificate as cryptography parses it, including the parts that it parses lazily."""
+def _parsed(der: bytes, issuer: bytes) -> dict[str, Any]:
+    """The fields that cryptography parses, some of them only when they are asked for, as here."""
     try:
-        parsed = x509.load_der_x509_certificate(der)
-        _ = parsed.subject, parsed.issuer, parsed.extensions
-        _ = parsed.not_valid_before_utc, parsed.not_valid_after_utc
-        return parsed
+        found = x509.load_der_x509_certificate(der)
+        return {
+            "subject": found.subject,
+            "issuer": _AUTHORITIES.get(issuer) or found.issuer,
+            "version": found.version.value + 1,
+            "not_before": found.not_valid_before_utc,
+            "not_after": found.not_valid_after_utc,
+            "extensions": found.extensions,
+            "signature": found.signature,
+        }
     except (
         ValueError,
         TypeError,

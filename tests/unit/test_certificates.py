@@ -189,6 +189,14 @@ def test_a_certificate_says_who_it_is_for(ca):
     assert leaf.version == 3
 
 
+def test_a_certificate_shares_its_issuers_name_with_the_authority_that_is_in_use(ca):
+    only = authority_of("The only CA of this name")
+    leaf = issue(only)
+    assert leaf.issuer is only.certificate.subject
+    for each in (leaf, issue(ca)):
+        assert each.issuer == x509.load_der_x509_certificate(each.der).issuer
+
+
 def test_serial_numbers_are_positive_and_never_the_same(ca):
     serials = {issue(ca).serial_number for _ in range(20)}
     assert len(serials) == 20
@@ -533,6 +541,17 @@ def test_a_participant_that_was_altered_and_signed_again_by_ecdsa_alone_is_refus
         problem
         == "the alternative signature of the certificate of CN=/admin: bad ml-dsa-65 signature"
     )
+
+
+@pytest.mark.parametrize("value", [b"", bytes(200), bytes(70_000)])
+def test_an_added_extension_that_begins_nearly_as_the_alternative_signature_is_refused(
+    double_ca, value
+):
+    leaf = issue(double_ca, alternative="ml-dsa-65")
+    oid = "1.3.6.3.85.29.74"  # its DER ends in that of altSignatureValue's
+    altered = rebuilt(leaf, double_ca.key, add=[extension(oid, value)])
+    [problem] = problems(altered, double_ca.certificate)
+    assert "bad ml-dsa-65 signature" in problem
 
 
 def test_an_exchanged_alternative_key_is_refused(double_ca):
