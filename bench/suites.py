@@ -5,7 +5,16 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from functools import cache
 
-from primitives import agreeing, signing, verifying, verifying_certificate
+from primitives import (
+    Call,
+    agreeing,
+    carrying,
+    digesting,
+    reading,
+    signing,
+    verifying,
+    verifying_certificate,
+)
 from tries import Spent, noted, spent
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS, SIGNATURES, Family, KeyAgreement
@@ -99,7 +108,27 @@ def floor(suite: HandshakeSuite) -> Callable[[], Spent]:
             covered = side.certificate.alternative.covered
             calls += verifying_certificate(both.ca.alternative_key, covered)
         calls += signing(side.key, transcript) + verifying(side.key, transcript)
+    return _each(calls)
 
+
+def wire(suite: HandshakeSuite) -> Callable[[], Spent]:
+    """A function that makes the calls that messages and certificates need besides the floor.
+
+    Keys are written and read, each certificate is base64, and the peer's introduction and the
+    Reply are digested. CDR, checks and challenges are not in it.
+    """
+    both, row = participants(suite), suite.agreement
+    transcript = bytes(row.public_size + row.ciphertext_size + ABOUT_TRANSCRIPT)
+    calls = carrying(row.name)
+    for side in (both.initiator, both.responder):
+        introduction = side.introduction(row, nul=True)
+        covered = b"".join(value for _, value in introduction.properties)
+        calls += reading(side.certificate.der, side.key) + digesting(covered)
+        calls += digesting(transcript) if row.binds_transcript else []
+    return _each(calls)
+
+
+def _each(calls: list[Call]) -> Callable[[], Spent]:
     def run() -> None:
         for call in calls:
             call()

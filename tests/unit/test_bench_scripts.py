@@ -10,13 +10,14 @@ BENCH = Path(__file__).parents[2] / "bench"
 ONE_ROUND = """
 from pqsec_pki.algorithms import KEY_AGREEMENTS, profile_named
 from pqsec_pki.benchmark import suites_of
-from suites import floor, handshake, participants
+from suites import floor, handshake, participants, wire
 for name in ("classical", "transition", "hybrid", "pq"):
     [suite] = suites_of([profile_named(name)])
     both = participants(suite)
     for run in (handshake(both.initiator, both.responder, suite.agreement), floor(suite)):
         spent = run()
         print(suite.profile, spent.tries > 0, spent.rest > 0)
+    assert 0 < wire(suite)().rest
 """
 
 
