@@ -27,6 +27,16 @@ class _StackName(click.Choice):  # type: ignore[type-arg] # generic in newer cli
         return value
 
 
+class _Middleware(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
+    """Also the name of its RMW package, as in RMW_IMPLEMENTATION."""
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """The name of the stack; BadParameter for any other."""
+        name = value.removeprefix("rmw_").removesuffix("_cpp")
+        found: str = super().convert(name, param, ctx)
+        return found
+
+
 @_help.command(
     examples={
         "Print the configuration for Cyclone DDS": "pqsec export cyclonedds /talker",
@@ -95,9 +105,9 @@ class _StackName(click.Choice):  # type: ignore[type-arg] # generic in newer cli
 )
 @click.option(
     "--rmw",
-    type=click.Choice([Stack.CYCLONEDDS.value, FASTRTPS]),
-    help="With ros2 and --plugin: run it in this middleware. [default: that of $RMW_IMPLEMENTATION,"
-    " without one or for another machine cyclonedds]",
+    type=_Middleware([Stack.CYCLONEDDS.value, FASTRTPS]),
+    help="With ros2 and --plugin: run it in this middleware, also rmw_fastrtps_cpp. [default: that"
+    " of $RMW_IMPLEMENTATION, without one or for another machine cyclonedds]",
 )
 @click.option(
     "--password-file",

@@ -58,6 +58,16 @@ def test_the_environment_of_ros_2_loads_it(pqsec, keystore):
 
 
 @pytest.mark.usefixtures("plugin")
+def test_the_value_of_rmw_implementation_names_the_middleware(pqsec, keystore):
+    keystore("pq")
+    pqsec("-k k issue /camera --ros-node /camera").done()
+    line = "-k k export ros2 /camera --plugin --plugins plug --rmw"
+    assert pqsec(f"{line} rmw_cyclonedds_cpp").out == pqsec(f"{line} cyclonedds").done().out
+    assert pqsec(f"{line} rmw_fastrtps_cpp").err == pqsec(f"{line} fastrtps").err
+    pqsec(f"{line} rmw_connextdds_cpp").refused(2, "connextdds")
+
+
+@pytest.mark.usefixtures("plugin")
 def test_a_stack_that_cannot_load_it_says_so(pqsec, keystore):
     keystore("pq")
     line = "-k k export connext /talker --plugin --plugins plug"
