@@ -86,7 +86,7 @@ def test_a_passphrase_that_its_stack_writes_is_for_its_owner_only(here, keystore
     path = keystore() / "enclaves/talker/key.pem"
     path.write_bytes(private_key_pem(load_private_key(path.read_bytes()), b"open sesame, please"))
     secret(tmp_path / "right", "open sesame, please\n")
-    here("-k k export labdds talker").refused(2, "Lab DDS asks nobody", hint="--password-file")
+    here("-k k export labdds talker").refused(2, "Lab DDS does not ask", hint="--password-file")
     here("-k k export labdds talker --password-file right").refused(2, "is not printed")
     here("-k k export labdds talker --password-file right -o conf").done()
     written = tmp_path / "conf/participant.properties"

@@ -8,11 +8,13 @@ import hashlib
 import hmac
 import re
 import shutil
+from collections.abc import Callable
 
 import pytest
 
 from pqsec_pki.algorithms import KEY_AGREEMENTS
-from pqsec_pki.handshake import Done, Introduction, WireVersion, key_exchange_material, messages
+from pqsec_pki.handshake import Done, Introduction, WireVersion, key_exchange_material
+from pqsec_pki.handshake.messages import Transcript
 from pqsec_pki.handshake.wire import encode_properties
 from tests.docs.tables import Document
 from tests.proof import bounded, pages, protocol, results
@@ -43,11 +45,16 @@ def test_the_page_shows_the_recorded_results() -> None:
 # The model is that of the code
 
 
-@pytest.mark.parametrize("octets", ["_IN_REPLY", "_IN_FINAL"])
+def signing(*names: str) -> Callable[[Transcript], bytes]:
+    """A method in place of `reply_octets` or `final_octets`: these values, in this order."""
+    return lambda values: encode_properties([(name, getattr(values, name)) for name in names])
+
+
+@pytest.mark.parametrize("octets", ["reply_octets", "final_octets"])
 def test_another_order_of_what_is_signed_is_another_model(monkeypatch, octets) -> None:
     before = digest(MAIN)
     changed = ("hash_c2", "challenge2", "dh2", "challenge1", "hash_c1", "dh1")
-    monkeypatch.setattr(messages, octets, messages._picked(*changed))
+    monkeypatch.setattr(Transcript, octets, signing(*changed))
     assert digest(MAIN) != before
 
 
@@ -171,5 +178,5 @@ def test_a_bounded_search_finds_the_same_attacks_and_no_others(scenario, require
 
 def test_a_change_of_the_signed_values_changes_the_bounded_model(monkeypatch) -> None:
     before = bounded.model(bounded.SCENARIOS[0])
-    monkeypatch.setattr(messages, "_IN_FINAL", messages._picked("hash_c1", "hash_c2"))
+    monkeypatch.setattr(Transcript, "final_octets", signing("hash_c1", "hash_c2"))
     assert bounded.model(bounded.SCENARIOS[0]) != before
