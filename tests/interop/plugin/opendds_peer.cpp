@@ -1,6 +1,8 @@
 // A participant of OpenDDS that sends a text on a topic, or receives it.
 // peer INI send|receive DOMAIN TOPIC TEXT SECONDS [FILE with NAME=VALUE lines: its properties]
 // With -DPQSEC_HEADER, the properties are those of the exported header, which loads the plugin.
+// With -DPQSEC_LISTENER, it receives until SECONDS are over, and parts from all peers when a
+// plugin tells its listener that one was revoked or expired.
 
 #ifdef PQSEC_HEADER
 #include "pqsec_participant.h"
@@ -9,6 +11,11 @@
 #include <dds/DCPS/Marked_Default_Qos.h>
 #include <dds/DCPS/RTPS/RtpsDiscovery.h>
 #include <dds/DCPS/Service_Participant.h>
+#ifdef PQSEC_LISTENER
+#include <dds/DCPS/LocalObject.h>
+#include <dds/DCPS/security/framework/SecurityRegistry.h>
+#include <dds/DdsSecurityCoreC.h>
+#endif
 #include <dds/DCPS/transport/rtps_udp/RtpsUdp.h>
 #include <unistd.h>
 
@@ -36,6 +43,57 @@ static void secure(DDS::DomainParticipantQos& qos, const char* path) {
     qos.property.value[count].value = line.substr(end + 1).c_str();
     qos.property.value[count].propagate = false;
   }
+}
+#endif
+
+#ifdef PQSEC_LISTENER
+namespace security = DDS::Security;
+
+static void part(DDS::DomainParticipant_ptr participant) {
+  DDS::InstanceHandleSeq peers;
+  participant->get_discovered_participants(peers);
+  for (CORBA::ULong i = 0; i < peers.length(); i++) participant->ignore_participant(peers[i]);
+}
+
+class OfIdentities : public virtual OpenDDS::DCPS::LocalObject<security::AuthenticationListener> {
+ public:
+  explicit OfIdentities(DDS::DomainParticipant_ptr participant) : participant_(participant) {}
+  CORBA::Boolean on_revoke_identity(security::Authentication_ptr, security::IdentityHandle,
+                                    security::SecurityException&) override {
+    say("told of an identity", 0);
+    part(participant_);
+    return true;
+  }
+  CORBA::Boolean on_status_changed(security::Authentication_ptr, security::IdentityHandle,
+                                   security::AuthStatusKind, security::SecurityException&) override {
+    return true;
+  }
+
+ private:
+  DDS::DomainParticipant_ptr participant_;
+};
+
+class OfPermissions : public virtual OpenDDS::DCPS::LocalObject<security::AccessControlListener> {
+ public:
+  explicit OfPermissions(DDS::DomainParticipant_ptr participant) : participant_(participant) {}
+  CORBA::Boolean on_revoke_permissions(security::AccessControl_ptr,
+                                       security::PermissionsHandle) override {
+    say("told of permissions", 0);
+    part(participant_);
+    return true;
+  }
+
+ private:
+  DDS::DomainParticipant_ptr participant_;
+};
+
+static void listen(DDS::DomainParticipant_ptr participant) {
+  security::SecurityException why;
+  const OpenDDS::Security::SecurityConfig_rch plugins = TheSecurityRegistry->default_config();
+  security::AuthenticationListener_var identities = new OfIdentities(participant);
+  security::AccessControlListener_var permissions = new OfPermissions(participant);
+  plugins->get_authentication()->set_listener(identities, why);
+  plugins->get_access_control()->set_listener(permissions, why);
 }
 #endif
 
@@ -72,8 +130,12 @@ static int receive(DDS::DomainParticipant_ptr participant, DDS::Topic_ptr topic,
   for (int i = 0; i < seconds * 10; i++) {
     Lab::Text sample;
     DDS::SampleInfo info;
-    if (reader->take_next_sample(sample, info) == DDS::RETCODE_OK && info.valid_data)
-      return say((std::string("heard ") + sample.value.in()).c_str(), 0);
+    if (reader->take_next_sample(sample, info) == DDS::RETCODE_OK && info.valid_data) {
+      say((std::string("heard ") + sample.value.in()).c_str(), 0);
+#ifndef PQSEC_LISTENER
+      return 0;
+#endif
+    }
     usleep(100000);
   }
   return 0;
@@ -95,6 +157,9 @@ int main(int, char** words) {
       atoi(words[3]), qos, 0, OpenDDS::DCPS::DEFAULT_STATUS_MASK);
   if (!participant.in()) return say("no participant", 1);
   say("joined", 0);
+#ifdef PQSEC_LISTENER
+  listen(participant);
+#endif
   Lab::TextTypeSupport_var support = new Lab::TextTypeSupportImpl;
   support->register_type(participant, "");
   CORBA::String_var type = support->get_type_name();

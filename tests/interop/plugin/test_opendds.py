@@ -8,7 +8,9 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +28,8 @@ VARIABLE = "PQSEC_OPENDDS_ROOT"
 HERE = Path(__file__).parent
 TOPIC, DOMAIN, SECONDS, LONGEST = "Square", "0", 40, 300
 TEXT = "a marker that nobody else may read"
+QUIET = 4.0
+"""Seconds in which a sender that is heard sends twenty samples."""
 LIBRARIES = ("OpenDDS_Rtps_Udp", "OpenDDS_Rtps", "OpenDDS_Dcps", "TAO_PortableServer")
 LIBRARIES += ("TAO_AnyTypeCode", "TAO", "ACE")
 
@@ -175,22 +179,18 @@ def words_of(program: Path, folder: Path, act: str, topic: str, seconds: int) ->
     return list(map(str, found))
 
 
+def begun(build: Build, words: list[str], *, ours: bool = True, log=subprocess.PIPE):
+    first = [str(build.plugin / OPENDDS_LINK.parent)] if ours else []
+    environment = {**os.environ, "LD_LIBRARY_PATH": ":".join([*first, build.path])}
+    return subprocess.Popen(
+        words, env=environment, cwd=build.folder, stdout=log, stderr=subprocess.STDOUT, text=True
+    )
+
+
 def met(build: Build, sender: list[str], receiver: list[str], *, ours=(True, True)) -> list[Ended]:
     """Both run, until the receiver is over; `ours` is who finds our plugin first."""
-    running = []
-    for words, by_folder in zip((receiver, sender), reversed(ours), strict=True):
-        first = [str(build.plugin / OPENDDS_LINK.parent)] if by_folder else []
-        environment = {**os.environ, "LD_LIBRARY_PATH": ":".join([*first, build.path])}
-        running.append(
-            subprocess.Popen(
-                words,
-                env=environment,
-                cwd=build.folder,
-                stdout=subprocess.PIPE,
-                stderr=subprocess.STDOUT,
-                text=True,
-            )
-        )
+    of_sender, of_receiver = ours
+    running = [begun(build, receiver, ours=of_receiver), begun(build, sender, ours=of_sender)]
     ended = []
     for each in running:
         try:
@@ -272,3 +272,45 @@ def test_another_build_gets_no_plugin(build, program, exported, tmp_path):
     )
     assert "run `pqsec plugin install opendds` again" in done.stderr
     assert (done.returncode, done.stdout.split("\n")[0]) == (1, "no participant")
+
+
+@contextmanager
+def session(build: Build, words: list[str], log: Path) -> Iterator[subprocess.Popen]:
+    with log.open("w") as file, begun(build, words, log=file) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def wait(log: Path, words: str) -> None:
+    end = time.monotonic() + LONGEST
+    while words not in log.read_text() and time.monotonic() < end:
+        time.sleep(0.1)
+    assert words in log.read_text()
+
+
+def test_a_program_is_told_of_a_revoked_peer_in_mid_session_and_parts_from_it(
+    build, domain, exported, tmp_path
+):
+    """Both processes live on, and what the peer still sends is not received."""
+    root = domain("session")
+    alice, bob = exported("/alice", "session"), exported("/bob", "session")
+    listening = build.program("listening", "-DPQSEC_LISTENER")
+    commands = [
+        words_of(listening, alice, "send", TOPIC, LONGEST),
+        words_of(listening, bob, "receive", TOPIC, LONGEST),
+    ]
+    heard, other = tmp_path / "bob.log", tmp_path / "alice.log"
+    with (
+        session(build, commands[1], heard) as receiver,
+        session(build, commands[0], other) as sender,
+    ):
+        wait(heard, f"heard {TEXT}")
+        pqsec("-k", root, "revoke", "/alice", "--yes")
+        wait(heard, "told of")
+        time.sleep(QUIET)
+        logs = heard.read_text(), other.read_text()
+        assert (sender.poll(), receiver.poll()) == (None, None), logs
+    after = heard.read_text().partition("told of")[2]
+    assert after.count("heard") < 5, after
