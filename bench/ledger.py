@@ -15,6 +15,8 @@ import time
 from datetime import UTC, datetime
 from pathlib import Path
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # tests/ has the other side
+
 from pqsec_pki.keystore import Entry, Keystore, change
 from tests.interop.shared_ledger import copied, create
 from tests.postgres import Cluster

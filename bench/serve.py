@@ -25,6 +25,7 @@ import argparse
 import os
 import platform
 import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator
@@ -37,6 +38,8 @@ from typing import NamedTuple
 
 from cryptography.hazmat.backends.openssl import backend
 from OpenSSL import SSL
+
+sys.path.insert(0, str(Path(__file__).parents[1]))  # tests/ has the other side
 
 from pqsec_pki.algorithms import PrivateKey, private_key_pem, profile_named
 from pqsec_pki.certificates import CertificateRequest, certificate_request

@@ -16,6 +16,8 @@ from pathlib import Path
 
 import pkcs11
 
+sys.path.insert(0, str(Path(__file__).parents[1]))  # tests/ has the other side
+
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.keystore import Keystore

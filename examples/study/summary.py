@@ -192,7 +192,7 @@ def of_suites(suites):
 UNITS = (
     "Times of two and of many hosts are seconds until all hosts have met: the median of the runs,",
     "with its 95 % confidence interval; of one or two runs, their values. `-` is a run that had",
-    "not ended after 60 s, and `none` that no run had.",
+    "not ended after 60 s, with many hosts after 120 s, and `none` that no run had.",
 )
 
 

@@ -1,5 +1,6 @@
-"""What bench/ compares handshakes with runs, for each kind of key: nothing else runs it."""
+"""Scripts of bench/ start, and what they compare handshakes with runs: nothing else runs it."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -33,3 +34,17 @@ def test_handshakes_and_their_floors_run_for_keys_of_each_kind():
         for name in ("classical", "transition", "hybrid", "pq")
         for _ in range(2)
     ]
+
+
+@pytest.mark.parametrize("name", ["ledger", "plugin", "serve"])
+def test_a_script_finds_what_it_runs_against_from_any_folder(name, tmp_path):
+    done = subprocess.run(
+        [sys.executable, BENCH / f"{name}.py", "--help"],
+        cwd=tmp_path,
+        env={key: value for key, value in os.environ.items() if key != "PYTHONPATH"},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.startswith("usage: ")
