@@ -3,8 +3,8 @@
 Under pytest-cov this plugin stops the measurement, and lets it run
 
 - in the set-up of a fixture when it is the first in this process;
-- in the cases of a test until one of them has shown nothing new;
-- in each case until 0.3 seconds of the processor have shown nothing new.
+- in a case of a test until two cases of it in a row have shown nothing new;
+- in each case until half a second of the processor has shown nothing new.
 
 What a module runs when it is imported is measured once, in a process that imports them all
 (tests/unit/test_rooms.py). The job of mutants, which asks which test runs what, measures all.
@@ -26,9 +26,9 @@ NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e
 """Folders whose tests run the same code over and over, or processes of their own."""
 MEASURED_THERE = {"test_plugin_try.py", "test_postgres.py"}
 """Files of those folders: nothing else runs what they run."""
-PATIENCE = 0.3
+PATIENCE = 0.5
 """Seconds of the processor."""
-CASES = 1
+CASES = 2
 _PROCESSES = {
     "COVERAGE_PROCESS_START": str(ROOT / "tests/processes.coveragerc"),
     "COVERAGE_FILE": str(ROOT / ".coverage"),

@@ -176,7 +176,10 @@ def sockets_of(pid):
     for line in Path("/proc/net/unix").read_text().splitlines()[1:]:
         parts = line.split()
         names |= {f"socket:[{parts[6]}]": parts[7]} if len(parts) > 7 else {}
-    opened = [str(each.readlink()) for each in Path(f"/proc/{pid}/fd").iterdir()]
+    opened = set()
+    for each in Path(f"/proc/{pid}/fd").iterdir():
+        with suppress(FileNotFoundError):  # closed meanwhile
+            opened.add(str(each.readlink()))
     return [names[each] for each in opened if each in names]
 
 
