@@ -20,7 +20,7 @@ from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import FileError, PqsecError
 from pqsec_pki.plugin import LIBRARY, AgentFolder, agent_status, build
 from pqsec_pki.plugin.building import SOURCES, CompileError, command
-from pqsec_pki.trial.building import cache, is_own, run_tool
+from pqsec_pki.trial.building import cache, compiling_once, run_tool
 from pqsec_pki.trial.host_process import processor_seconds
 from pqsec_pki.trial.installation import MACHINE, Installation
 from pqsec_pki.vendors import FastDds, examine
@@ -99,14 +99,14 @@ def _built(fastdds: Installation | None) -> Path:
     compilers = _compilers(fastdds) if fastdds else None
     stack = examine(fastdds.library.path, fastdds.root) if fastdds else None
     goal = home / f"plugin-{_digest(stack, compilers)}"
-    if not is_own(goal):
-        with disk_errors(goal), tempfile.TemporaryDirectory(dir=home, prefix=".plugin-") as draft:
-            made = Path(draft) / "made"
-            made.mkdir(mode=0o700)
-            build(made)
-            if stack and compilers:
-                install(stack, made, compilers)
-            if not is_own(goal):  # another trial may have been faster
+    with disk_errors(goal), compiling_once(goal) as missing:
+        if missing:
+            with tempfile.TemporaryDirectory(dir=home, prefix=".plugin-") as draft:
+                made = Path(draft) / "made"
+                made.mkdir(mode=0o700)
+                build(made)
+                if stack and compilers:
+                    install(stack, made, compilers)
                 made.rename(goal)
     return goal
 

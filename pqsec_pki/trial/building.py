@@ -1,5 +1,6 @@
 """Compiles peers when they are first needed, and caches them."""
 
+import fcntl
 import hashlib
 import os
 import shutil
@@ -34,13 +35,27 @@ def built(installation: Installation) -> Path:
     or if others may write to the cache.
     """
     goal = cache() / f"{installation.build.stack}-{installation.version}-{_digest(installation)}"
-    with disk_errors(goal):
-        if not is_own(goal):
+    with disk_errors(goal), compiling_once(goal) as missing:
+        if missing:
             with _build_folder(installation) as folder:
                 _compile(installation, folder)
                 _check_linked(installation, folder / _PEER)
                 _install(folder / _PEER, goal)
     return goal
+
+
+@contextmanager
+def compiling_once(goal: Path) -> Iterator[bool]:
+    """Whether `goal`, in the cache, is missing; another process that is compiling is waited for."""
+    if is_own(goal):
+        yield False
+        return
+    folder = os.open(goal.parent, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(folder, fcntl.LOCK_EX)
+        yield not is_own(goal)
+    finally:
+        os.close(folder)
 
 
 def source(name: str) -> bytes:

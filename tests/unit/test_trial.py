@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import timedelta
 from pathlib import Path
@@ -257,6 +258,15 @@ def test_a_peer_is_compiled_once_and_kept(tools, here, peer, tmp_path):
     assert os.access(program, os.X_OK)
     assert (tmp_path / "count").read_text() == "run\n"
     assert [path.name for path in program.parent.iterdir()] == [program.name]
+
+
+def test_a_peer_that_two_need_at_once_is_compiled_once(tools, here, peer, tmp_path):
+    """Each took as long as both, on a machine with two processors."""
+    tools({"g++": f"echo run >> {tmp_path}/count; sleep 0.3; cp {peer} peer"})
+    with ThreadPoolExecutor() as pool:
+        first, second = pool.map(built, [here, here])
+    assert first == second
+    assert (tmp_path / "count").read_text() == "run\n"
 
 
 def test_another_version_gets_a_peer_of_its_own(tools, here, peer):
