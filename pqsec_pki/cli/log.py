@@ -10,7 +10,7 @@ import click
 
 from pqsec_pki._times import said
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _passphrases, _printing, _settings
-from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, meant
+from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import (
     PERMITTED,
     Entry,
@@ -18,6 +18,7 @@ from pqsec_pki.keystore import (
     Line,
     SigningCa,
     audit,
+    nearest,
     read_anchors,
     regular_name,
     write_anchor,
@@ -168,7 +169,7 @@ def _lines(keystore: Keystore, names: Iterable[str], since: datetime | None) -> 
         for name in sorted(wanted - known.keys()):
             raise KeystoreError(
                 f"the ledger has no participant {name}",
-                hint=meant(name, known) or "`pqsec status` lists the participants",
+                hint=nearest(name, known) or "`pqsec status` lists the participants",
             )
         lines = [each for each in lines if each.entry.name in wanted]
     return [each for each in lines if since is None or each.entry.made_at >= since]

@@ -18,7 +18,8 @@ from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _ros_
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.cli._who_may_forms import FORMS, flow_lines
 from pqsec_pki.documents import DomainSet, ros
-from pqsec_pki.errors import MissingError, UsageError, meant
+from pqsec_pki.errors import MissingError, UsageError
+from pqsec_pki.keystore import nearest
 from pqsec_pki.policy import (
     Fleet,
     WhoMay,
@@ -237,7 +238,7 @@ def _chosen(fleet: Fleet, names: tuple[str, ...]) -> list[str]:
         if name not in known:
             raise UsageError(
                 f"there is no participant {printable(name)} here",
-                hint=meant(name, known) or "`pqsec status` lists the participants",
+                hint=nearest(name, known) or "`pqsec status` lists the participants",
             )
     return found
 

@@ -5,7 +5,7 @@ from functools import partial
 
 from pqsec_pki.documents.parts_yaml import Item, all_of, fields, one_or_more, refused, table, text
 from pqsec_pki.domain._listing import regular, without_braces
-from pqsec_pki.errors import meant, shown
+from pqsec_pki.errors import shown
 from pqsec_pki.keystore import GROUP_NAME, matching, nearest
 
 MAX_GROUPED = 1_000_000
@@ -66,7 +66,7 @@ def _named(pattern: str, line: int, participants: Collection[str]) -> list[str]:
         else:
             names = [name for name in [regular(each, line)] if name in participants]
         if not names:
-            hint = nearest(each, sorted(participants)) if "*" in each else meant(each, participants)
+            hint = nearest(each, participants)
             message = f"no participant of the file is {shown(each)}"
             raise refused(line, f"{message}; {hint}" if hint else message)
         found += names

@@ -8,8 +8,9 @@ from pathlib import Path
 from pqsec_pki._files import disk_errors, exists, read, read_within, real_path
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import FILES, KEYS, NEEDED, Credentials, only_certificate, only_list
-from pqsec_pki.errors import FileError, KeystoreError, located, meant
+from pqsec_pki.errors import FileError, KeystoreError, located
 from pqsec_pki.keystore import layout
+from pqsec_pki.keystore.patterns import nearest
 from pqsec_pki.problems import Code
 from pqsec_pki.tokens import stored_pin
 
@@ -76,9 +77,7 @@ def refuse_unknown(root: Path, name: str) -> None:
         )
     suggestion = ""
     with suppress(FileError):  # the name is missing whatever the other folders are
-        known = list(layout.names_in(root))
-        longer = [each for each in known if each.endswith("/" + name.lstrip("/"))]
-        suggestion = meant(name, known) if len(longer) != 1 else f"did you mean {longer[0]!r}?"
+        suggestion = nearest(name, list(layout.names_in(root)))
     hint = f"issue it with `pqsec issue {name}`; `pqsec ca show` lists the participants"
     raise KeystoreError(
         f"there is no participant {name} in {root}",

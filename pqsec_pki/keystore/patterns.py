@@ -1,9 +1,9 @@
 """Participants that users give several at once: patterns `/tb3/*`, `/tb3/**`, groups `@hall1`."""
 
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 
-from pqsec_pki.errors import KeystoreError, meant, shown
+from pqsec_pki.errors import MOST_MEANT, KeystoreError, meant, shown
 from pqsec_pki.problems import Code
 
 GROUP = "@"
@@ -59,12 +59,28 @@ def _refusing_none(pattern: str, known: Sequence[str]) -> list[str]:
     return found
 
 
-def nearest(pattern: str, known: Sequence[str]) -> str:
-    """What of `known` a pattern that matches none may have meant, in words; or ''."""
-    deeper = re.sub(r"\*+", "**", _whole(pattern))
+def nearest(name: str, known: Collection[str]) -> str:
+    """What of `known` a name or pattern that is not among them may have meant, in words; or ''."""
+    whole = _whole(name)
+    if not is_several(name):
+        return _below(whole, known) or meant(whole, known)
+    deeper = re.sub(r"\*+", "**", whole)
     if matching(deeper, known):
         return f"* stands for no /, and ** does: '{shown(deeper)}'"
-    return meant(_whole(pattern), known)
+    return meant(whole, known)
+
+
+def _below(name: str, known: Iterable[str]) -> str:
+    """The names of `known` below `name`, which is a robot, or the one that ends so; or ''."""
+    names = sorted(known)
+    below = [each for each in names if each.startswith(f"{name}/")]
+    if len(below) > 1:
+        nodes = f"{name}/*"
+        pattern = nodes if len(matching(nodes, below)) == len(below) else f"{nodes}*"
+        some = [*map(shown, below[:MOST_MEANT]), *["..."] * (len(below) > MOST_MEANT)]
+        return f"did you mean '{shown(pattern)}' ({', '.join(some)})?"
+    found = below or [each for each in names if each.endswith(name)]
+    return f"did you mean {shown(found[0])!r}?" if len(found) == 1 else ""
 
 
 def _members(

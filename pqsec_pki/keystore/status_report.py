@@ -9,7 +9,7 @@ from datetime import datetime, timedelta
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
 from pqsec_pki.documents import Governance, Grant, Permissions
-from pqsec_pki.errors import KeystoreError, MissingError, located, meant
+from pqsec_pki.errors import KeystoreError, MissingError, located
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
@@ -18,6 +18,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.keystore.patterns import nearest
 from pqsec_pki.keystore.states import ParticipantState, State, participant_states
 from pqsec_pki.smime import document_in
 
@@ -189,5 +190,5 @@ def _refuse_unknown(ledger: Ledger, wanted: list[str], found: list[ParticipantSt
         known = [row[0] for row in ledger.participants()]
         raise KeystoreError(
             f"the ledger has no participant {', '.join(unknown)}",
-            hint=meant(unknown[0], known) or "`pqsec status` lists the participants",
+            hint=nearest(unknown[0], known) or "`pqsec status` lists the participants",
         )

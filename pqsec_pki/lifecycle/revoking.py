@@ -19,7 +19,7 @@ from pqsec_pki.certificates import (
     RevokedCertificate,
     revocation_list,
 )
-from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, meant
+from pqsec_pki.errors import KeystoreError, PqsecError, UsageError
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
@@ -30,6 +30,7 @@ from pqsec_pki.keystore import (
     change,
     layout,
     list_entry,
+    nearest,
     refuse_overlap,
 )
 
@@ -243,7 +244,7 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
     if not named:
         raise KeystoreError(
             f"the ledger has no participant and no serial number {subject}",
-            hint=meant(subject, (row[0] for row in ledger.participants()))
+            hint=nearest(subject, [row[0] for row in ledger.participants()])
             or "`pqsec status` lists both",
         )
     good = [each for each in named if now <= each.ends]

@@ -159,6 +159,29 @@ def test_an_unknown_participant_is_answered_with_one_that_is_spelled_alike(pqsec
         pqsec(f"-k k {line}").refused(3, "/tlaker", hint="did you mean '/talker'?")
 
 
+def test_the_name_of_a_robot_alone_is_answered_with_the_pattern_of_its_nodes(pqsec):
+    named = ("/r1/a", "/r1/b", "/r2/a", "/r2/x/b", "/r3/a/b")
+    pqsec("-k k ca init --profile classical --no-passphrase").done()
+    pqsec(f"-k k issue {' '.join(named)} --publish rt/a").done()
+    for line in (
+        "status /r1",
+        "renew /r1",
+        "needs-renewal /r1",
+        "revoke /r1 --yes",
+        "log /r1",
+        "bundle /r1 --plain-key",
+        "export fastdds /r1",
+        "permit /r1 --publish rt/b --yes",
+        "explain /r1 --join",
+        "who-may --participant /r1",
+        "verify-handshake /r1 /r2/a",
+    ):
+        code = 2 if line.startswith("who-may") else 3
+        pqsec(f"-k k {line}").refused(code, "/r1", hint="did you mean '/r1/*' (/r1/a, /r1/b)?")
+    pqsec("-k k status /r2").refused(3, hint="did you mean '/r2/**' (/r2/a, /r2/x/b)?")
+    pqsec("-k k status /r3").refused(3, hint="did you mean '/r3/a/b'?")
+
+
 def test_a_wrong_passphrase_names_the_file_of_the_key(pqsec, locked):
     for line in ("issue /a --publish x", "ca crl", "ca passphrase --new-passphrase-file right"):
         said = pqsec(f"-k k {line} --passphrase-file wrong")
