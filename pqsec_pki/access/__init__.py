@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
+    from pqsec_pki.access._checks import reason_for_several
     from pqsec_pki.access._patterns import opendds_reads_beyond
     from pqsec_pki.access.amending import (
         TopicRights,
@@ -95,6 +96,7 @@ __all__ = [
     "open_rights",
     "opendds_reads_beyond",
     "permissions_diff",
+    "reason_for_several",
     "remove_rights",
     "rights_of",
     "topics_asked",

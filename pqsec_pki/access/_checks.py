@@ -6,7 +6,7 @@ Each checks one question; `decide` calls them in sequence.
 from pqsec_pki.access import _expressions
 from pqsec_pki.access.decision import Decision, no, yes
 from pqsec_pki.access.interpretation import EvaluationContext
-from pqsec_pki.access.question import Action
+from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import Criteria, DefaultAction, PermissionRule, TopicRule
 
 _MOST_SAID = 4
@@ -136,6 +136,14 @@ def said(context: EvaluationContext) -> str:
     question = context.question
     where = f" in {_partitions(question.partitions)}" if any(question.partitions) else ""
     return f"{_VERBS[question.action]} '{question.topic}'{where} on domain {question.domain}"
+
+
+def reason_for_several(reason: str, question: Question) -> str:
+    """The reason of a decision about `question`, in words that fit all topics that share it."""
+    topic = f"'{question.topic}'"
+    return reason.replace(f"{_VERBS.get(question.action)} {topic}", "use them").replace(
+        topic, "them"
+    )
 
 
 def name_of(rule: PermissionRule) -> str:

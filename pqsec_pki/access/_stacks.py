@@ -71,7 +71,7 @@ def _builtin(context: EvaluationContext) -> Decision:
 def _topic_ruled(context: EvaluationContext, rule: PermissionRule, criteria: Criteria) -> Decision:
     if rule.allow:
         return ruled(context, rule, criteria)
-    text = f"a deny_rule of grant '{context.grant.name}' names the topic '{context.question.topic}'"
+    text = f"a deny_rule of grant '{context.grant.name}' names '{context.question.topic}'"
     return no(f"{text}, which cannot even be created", rule, criteria)
 
 

@@ -16,11 +16,23 @@ def _client(server: Callable[[str], ros.Endpoints]) -> Callable[[str], ros.Endpo
     return lambda name: _ros_patterns.opposite(server(name))
 
 
+def _both_sides(topics: tuple[str, ...]) -> ros.Endpoints:
+    return ros.Endpoints(publish=topics, subscribe=topics)
+
+
 _ROS: dict[str, tuple[str, Callable[[str], ros.Endpoints]]] = {
+    "ros_topic": (
+        "publish and subscribe to",
+        lambda name: _both_sides((_ros_patterns.topic(name),)),
+    ),
     "ros_service": ("serve the service", _ros_patterns.service_server),
     "ros_client": ("call the service", _client(_ros_patterns.service_server)),
     "ros_action_server": ("serve the action", _ros_patterns.action_server),
     "ros_action_client": ("use the action", _client(_ros_patterns.action_server)),
+    "ros_action": (
+        "serve and use the action",
+        lambda name: _both_sides(_ros_patterns.both(_ros_patterns.action_server(name))),
+    ),
     "ros_node": ("run as the node", ros.node_minimum),
     "ros_parameters": ("read and set the parameters of", ros.parameter_client),
 }
@@ -38,10 +50,12 @@ _HELP = {
     "relay": "relay this DDS topic or pattern",
     "ros_publish": "publish this ROS 2 topic or pattern",
     "ros_subscribe": "subscribe to this ROS 2 topic or pattern",
+    "ros_topic": "publish and subscribe to this ROS 2 topic or pattern",
     "ros_service": "serve this ROS 2 service or pattern",
     "ros_client": "call this ROS 2 service or pattern",
     "ros_action_server": "serve this ROS 2 action or pattern",
     "ros_action_client": "use this ROS 2 action or pattern",
+    "ros_action": "serve and use this ROS 2 action or pattern",
     "ros_node": "run as this ROS 2 node",
     "ros_parameters": "read and set the parameters of this ROS 2 node",
 }
@@ -55,11 +69,12 @@ def options(command: _settings.Command) -> _settings.Command:
     )
     for key, words in reversed(_HELP.items()):
         complete = _completion.ros_topics if key.startswith("ros_") else _completion.topics
+        is_topic = key in _TOPICS or key == "ros_topic"
         command = click.option(
             f"--{key.replace('_', '-')}",
-            metavar="TOPIC" if key in _TOPICS else "NODE" if key in _NODES else "NAME",
+            metavar="TOPIC" if is_topic else "NODE" if key in _NODES else "NAME",
             help=f"Ask whether it may {words}.",
-            shell_complete=complete if key in _TOPICS else None,
+            shell_complete=complete if is_topic else None,
         )(command)
     return command
 

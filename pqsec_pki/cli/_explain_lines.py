@@ -3,28 +3,41 @@
 from collections.abc import Iterator
 
 from pqsec_pki._times import said
+from pqsec_pki.access import reason_for_several
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import ros
 from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Use
 
 
 def right_lines(found: RightAnswer) -> Iterator[str]:
-    """One line for each topic that is allowed; of the others also the reason."""
+    """One line for each topic; those that are denied for one reason are together, before it."""
     word = "YES" if found.allowed else "NO"
     by = found.uses[0].answers[0].answer.interpretation.title if found.uses else ""
     ends = [end for use in found.uses if (end := use.until(found.policy_input))]
     until = f", until {said(min(ends))}" if found.allowed and ends else ""
     what = f"{printable(found.policy_input.who)}: {printable(found.right.words)}"
     yield f"{word:<4}  {what}{until}, by {by}"
+    together = dict[str, list[tuple[Use, DomainsAnswer]]]()
     for use in found.uses:
         for each in use.answers:
-            yield from _use_lines(found.policy_input, use, each)
+            together.setdefault(_why_not(each), []).append((use, each))
+    for reason, rows in together.items():
+        yield from (_use_line(found.policy_input, use, each) for use, each in rows)
+        if len(rows) > 1 and reason:
+            yield f"           for these {len(rows)}: {printable(reason)}"
+        elif reason:
+            yield f"           {printable(rows[0][1].answer.decision.reason)}"
     if titles := found.different():
         alone = "one topic" if len(found.uses) > 1 else "this participant alone"
         yield f"      {', '.join(titles)}: decided differently, ask for {alone}"
 
 
-def _use_lines(policy_input: PolicyInput, use: Use, each: DomainsAnswer) -> Iterator[str]:
+def _why_not(each: DomainsAnswer) -> str:
+    """The reason in words that fit several topics; empty if it is allowed."""
+    return "" if each.allowed else reason_for_several(each.answer.decision.reason, each.question)
+
+
+def _use_line(policy_input: PolicyInput, use: Use, each: DomainsAnswer) -> str:
     answer, question = each.answer, each.question
     what = "join"
     if use.topic is not None:
@@ -33,9 +46,7 @@ def _use_lines(policy_input: PolicyInput, use: Use, each: DomainsAnswer) -> Iter
             what += f" (pattern, as for {printable(question.topic or '')})"
     place = policy_input.place(answer.decision)
     where = f"  {printable(str(place[0]))}:{place[1]}" if place else ""
-    yield f"      {answer.word:<4} {what}, {each.where}{where}"
-    if not answer.decision.allowed:
-        yield f"           {printable(answer.decision.reason)}"
+    return f"      {answer.word:<4} {what}, {each.where}{where}"
 
 
 def lines_of(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]:

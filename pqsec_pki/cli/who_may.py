@@ -64,6 +64,8 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
 )
 @click.option(
     "--ros-topic",
+    "--ros-publish",
+    "--ros-subscribe",
     "ros_topics",
     multiple=True,
     help="Show only this ROS 2 topic or pattern.",
@@ -71,6 +73,7 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
 )
 @click.option(
     "--ros-service",
+    "--ros-client",
     "ros_services",
     multiple=True,
     metavar="NAME",
@@ -78,10 +81,19 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
 )
 @click.option(
     "--ros-action",
+    "--ros-action-server",
+    "--ros-action-client",
     "ros_actions",
     multiple=True,
     metavar="NAME",
     help="Show only the topics of this ROS 2 action, or of a pattern.",
+)
+@click.option(
+    "--ros-node",
+    "ros_nodes",
+    multiple=True,
+    metavar="NODE",
+    help="Show only the topics that this ROS 2 node needs to start.",
 )
 @click.option(
     "--ros-parameters",
@@ -126,6 +138,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     ros_topics: tuple[str, ...],
     ros_services: tuple[str, ...],
     ros_actions: tuple[str, ...],
+    ros_nodes: tuple[str, ...],
     ros_parameters: tuple[str, ...],
     participants: tuple[str, ...],
     domains: str | None,
@@ -149,7 +162,8 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if matrix and form in {"dot", "md"}:
         raise UsageError("--matrix is printed as table, json or csv")
     chosen = _chosen(fleet, participants)
-    wanted = (*topics, *_of_ros(ros_topics, ros_services, ros_actions, ros_parameters))
+    named = _of_ros(ros_topics, ros_services, ros_actions, ros_nodes, ros_parameters)
+    wanted = (*topics, *dict.fromkeys(named))
     if "" in wanted:
         raise UsageError("the topic is empty")
     found = who_may_use(fleet, wanted, domains=where, now=now, interpretation=interpretation)
@@ -173,14 +187,17 @@ def _of_ros(
     services: tuple[str, ...],
     actions: tuple[str, ...],
     nodes: tuple[str, ...],
+    configured: tuple[str, ...],
 ) -> Iterator[str]:
-    """The DDS topics of these ROS 2 names."""
+    """The DDS topics of these ROS 2 names; of `configured` those for parameters."""
     yield from map(_ros_patterns.topic, topics)
     for name in services:
         yield from _ros_patterns.both(_ros_patterns.service_server(name))
     for name in actions:
         yield from _ros_patterns.both(_ros_patterns.action_server(name))
     for name in nodes:
+        yield from _ros_patterns.both(ros.node_minimum(name))
+    for name in configured:
         yield from _parameters(name)
 
 

@@ -27,6 +27,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.keystore import Keystore, load_certificate
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.smime import Signer, sign
+from tests.cli.conftest import command_of
 
 NOW = datetime.now(UTC)
 ZERO = DomainSet.of(0)
@@ -444,6 +445,25 @@ def test_a_right_in_the_words_of_ros_takes_all_its_topics(pqsec, fleet_of_nodes)
     assert said[1].startswith("      yes  publish request of /reset, domain 0  ")
     assert said[2].startswith("      yes  subscribe reply of /reset, domain 0  ")
     pqsec(f"{ask} --participant /desk --ros-service reset").refused(2, "not a full ROS 2 name")
+
+
+def test_explain_and_who_may_have_the_same_options_for_ros_names():
+    def options(word: str) -> set[str]:
+        given = (each for one in command_of([word]).params for each in one.opts)
+        return {each for each in given if each.startswith("--ros-")}
+
+    assert options("explain") == options("who-may")
+    assert "--ros-topic" in options("explain")
+
+
+def test_topics_that_other_rules_deny_keep_their_own_reasons(pqsec, put):
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule("rt/a", "rt/b", allow=False), rule("rt/c")))
+    said = pqsec(f"{FILES} --ros-publish '/[a-e]'").out.splitlines()
+    denied = "           for these 2: a deny_rule of grant 'g' forbids it to use them on domain 0"
+    assert [line.split(",")[0].split()[0] for line in said[1:3]] == ["no", "no"]
+    assert said[3] == denied
+    assert said[4].startswith("      yes  publish /c, ")
 
 
 def test_a_right_is_on_one_domain_or_not_at_all(pqsec, put):
