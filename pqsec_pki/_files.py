@@ -251,12 +251,16 @@ def create(
 
 
 @contextmanager
-def disk_errors(place: Path) -> Iterator[None]:
-    """Turn errors of the system into FileError, for the file they name, or else for `place`."""
+def disk_errors(place: Path, *, drafting: bool = False) -> Iterator[None]:
+    """Turn errors of the system into FileError, for the file they name, or else for `place`.
+
+    Always for `place` when `drafting`: the files are temporary, with names that no user knows.
+    """
     try:
         yield
     except OSError as error:
-        raise _refused(error.filename2 or error.filename or place, error) from error
+        named = None if drafting else error.filename2 or error.filename
+        raise _refused(named or place, error) from error
 
 
 def sync_folder(folder: Path) -> None:

@@ -149,9 +149,11 @@ def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:
         if not there:
             folder.parent.mkdir(parents=True, exist_ok=True)
         place = folder if there else folder.parent
-        draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=place))
+        with disk_errors(folder, drafting=True):
+            draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=place))
         try:
-            _fill(draft, export)
+            with disk_errors(folder, drafting=True):
+                _fill(draft, export)
             if there:
                 _move(export, draft, folder, force=force)
             else:

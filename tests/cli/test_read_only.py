@@ -138,6 +138,11 @@ def test_a_keystore_on_read_only_media_is_read_and_not_changed(folder, run_in):
     changes = ["issue /new", "ca crl", "revoke /talker --yes"]
     for found in in_a_fork(folder, on_read_only_media, run_in, changes):
         found.refused(3, "read-only file system")
+    for goal in ("k", "k/there"):
+        [found] = in_a_fork(
+            folder, on_read_only_media, run_in, [f"export cyclonedds /talker --anyway -o {goal}"]
+        )
+        assert found.refused(3).errors == [f"{goal}: read-only file system"]
     kept = ["log --anchor anchors", "log --verify --anchor anchors"]
     assert [each.code for each in in_a_fork(folder, on_read_only_media, run_in, kept)] == [0, 0]
 
