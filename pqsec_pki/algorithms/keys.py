@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Callable, Iterable
+from shlex import quote
 from typing import Any
 
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -56,11 +57,19 @@ def load_public_key(spki: bytes) -> PublicKey:
     return PublicKey(row or _row_of(handle, _ROWS_WITH.get(oid, ())), spki, handle)
 
 
-def public_key_from_pem(data: bytes) -> PublicKey:
-    """The key in PEM `data`, which has nothing else; errors as of `load_public_key`."""
+def public_key_from_pem(data: bytes, file: str = "FILE") -> PublicKey:
+    """The key in PEM `data`, which has nothing else; errors as of `load_public_key`.
+
+    `file` is its name, for the hint if there is a private key instead.
+    """
     match unpem(data, "public key"):
         case [("PUBLIC KEY", spki)]:
             return load_public_key(spki)
+    if b"PRIVATE KEY-----" in data:
+        raise MalformedError(
+            "a private key, where the public one belongs",
+            hint=f"`openssl pkey -in {quote(file)} -pubout` prints the public key",
+        )
     raise MalformedError("it must be one PEM block, PUBLIC KEY")
 
 

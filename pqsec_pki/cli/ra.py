@@ -240,7 +240,7 @@ def revoke(names: tuple[str, ...], passphrase_file: Path | None) -> None:
 
 def _public_key(path: Path) -> PublicKey:
     with located(path):
-        return public_key_from_pem(_files.read(path))
+        return public_key_from_pem(_files.read(path), str(path))
 
 
 def roles_in(desired: Desired, names: tuple[str, ...]) -> dict[str, object]:

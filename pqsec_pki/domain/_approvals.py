@@ -82,9 +82,12 @@ def _keys(item: Item) -> dict[str, Item]:
 def _key(item: Item, folder: Path) -> PublicKey:
     """The key in a PEM text, or in the file with that name."""
     given = text(item)
-    where = "the key" if given.lstrip().startswith(_BEGIN) else str(folder / given)
+    is_pem = given.lstrip().startswith(_BEGIN)
+    where = "the key" if is_pem else str(folder / given)
     try:
-        data = given.encode() if where == "the key" else read(folder / given, limit=_MAX_KEY)
-        return public_key_from_pem(data)
+        if is_pem:
+            return public_key_from_pem(given.encode())
+        return public_key_from_pem(read(folder / given, limit=_MAX_KEY), where)
     except PqsecError as error:
-        raise refused(item, f"{where}: {error.words_at(where)}") from None
+        message = f"{where}: {error.words_at(where)}"
+        raise refused(item, f"{message}; {error.hint}" if error.hint else message) from None

@@ -115,7 +115,9 @@ def test_mistakes_are_named(pqsec, lab):
         2, "no role rbot", hint="did you mean"
     )
     pqsec(again.replace("--role robot", "--role arm")).refused(2, "needs $site")
-    pqsec(again.replace("line1.pub.pem", "line1.pem")).refused(3, "")
+    pqsec(again.replace("line1.pub.pem", "line1.pem")).refused(
+        3, "a private key", hint="`openssl pkey -in line1.pem -pubout`"
+    )
     pqsec(again.replace("/fleet/*", "fleet")).refused(2, "names begin with a slash")
     pqsec("-k k ra list --grant line3").refused(3, "no registration authority line3")
     pqsec("-k k ra revoke line3").refused(3, "no registration authority line3")

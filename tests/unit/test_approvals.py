@@ -690,7 +690,10 @@ def keys(tmp_path_factory):
         ),
         ("{required: 2, of: {bob: alice.pub.pem, Bob: bob.pub.pem}}", "Bob have the same name"),
         ("{required: 1, of: {../bob: bob.pub.pem}}", "cannot be an approver's name"),
-        ("{required: 1, of: {bob: bob.pem}}", "it must be one PEM block, PUBLIC KEY"),
+        (
+            "{required: 1, of: {bob: bob.pem}}",
+            "a private key, where the public one belongs; `openssl",
+        ),
         ("{required: 1, of: {bob: two.pem}}", "it must be one PEM block, PUBLIC KEY"),
         ("{required: 1, of: {bob: x25519.pem}}", "keys of algorithm 1.3.101.110 are not known"),
         ("{required: 1, of: {bob: none.pem}}", "none.pem"),
