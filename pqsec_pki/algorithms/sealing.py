@@ -46,7 +46,11 @@ class SealingPublicKey:
     @classmethod
     def from_pem(cls, data: bytes) -> Self:
         """The first such key in PEM `data`; MalformedError if there is none."""
-        return cls.from_raw(first_pem(data, {_PUBLIC}, "public key to seal for", limit=MAX_KEY))
+        try:
+            return cls.from_raw(first_pem(data, {_PUBLIC}, "public key to seal for", limit=MAX_KEY))
+        except MalformedError as error:
+            error.hint = "`pqsec bundle-key` on the robot makes it: bundle.pub.pem"
+            raise
 
     @property
     def pem(self) -> bytes:

@@ -152,7 +152,8 @@ def _refuse_keys(seal_for: Path | None, *, named: bool, plain_key: bool, no_keys
     if seal_for and not named:
         raise UsageError(
             "--seal-for encrypts for one robot, and --outdated is for all of them",
-            hint="give the names of that robot, such as '/robot1/*'",
+            hint="give the names of the robot whose `pqsec bundle-key` wrote FILE, such as"
+            " '/robot1/*'",
         )
     if [bool(seal_for), plain_key, no_keys].count(True) > 1 and not (seal_for and no_keys):
         raise UsageError("--plain-key excludes --seal-for and --no-keys")

@@ -32,7 +32,8 @@ class BundleFile:
         if self.has_plain_keys and not self.plain_key:
             raise UsageError(
                 f"the bundle has private keys of {', '.join(self.bundle.names)}",
-                hint="encrypt it for its robot: --seal-for FILE; or use --plain-key and protect it",
+                hint="encrypt it for its robot: `pqsec bundle NAME... --seal-for FILE`, where FILE"
+                " is what `pqsec bundle-key` wrote there; or use --plain-key and protect it",
             )
 
     def write(self, *, force: bool = False) -> None:
