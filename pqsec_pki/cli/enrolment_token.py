@@ -37,10 +37,10 @@ def enrolment_token() -> None:
     "create",
     examples={
         "Create a token for one robot": (
-            "pqsec enrolment-token create /fleet/robot1 --config serve.yaml -o robot1.token"
+            "pqsec enrolment-token create /fleet/robot1 -o robot1.token"
         ),
         "Create one with which 20 robots enrol": (
-            "pqsec enrolment-token create '/fleet/*' --uses 20 --config serve.yaml -o fleet.token"
+            "pqsec enrolment-token create '/fleet/*' --uses 20 -o fleet.token"
         ),
     },
     exit_codes={
@@ -120,7 +120,7 @@ def create(  # noqa: PLR0913 -- one for each option, by name
 
 @enrolment_token.command(
     "list",
-    examples={"List the tokens": "pqsec enrolment-token list --config serve.yaml"},
+    examples={"List the tokens": "pqsec enrolment-token list"},
     exit_codes={
         0: "the tokens are listed",
         1: "the configuration is not valid",
@@ -139,9 +139,7 @@ def list_(file: Path, form: str) -> None:
 @enrolment_token.command(
     "revoke",
     examples={
-        "Revoke a token that was lost": (
-            "pqsec enrolment-token revoke 0123456789abcdef --config serve.yaml"
-        ),
+        "Revoke a token that was lost": "pqsec enrolment-token revoke 0123456789abcdef",
     },
     exit_codes={
         0: "the tokens admit no more requests",

@@ -34,7 +34,7 @@ def requests() -> None:
 
 @requests.command(
     "list",
-    examples={"List what waits": "pqsec requests list --config serve.yaml"},
+    examples={"List what waits": "pqsec requests list"},
     exit_codes={
         0: "the requests are listed",
         1: "the configuration is not valid",
@@ -71,9 +71,7 @@ def list_(file: Path, form: str) -> None:
 @requests.command(
     "approve",
     examples={
-        "Approve a request, by its SHA-256": (
-            "pqsec requests approve 0123456789abcdef --config serve.yaml"
-        ),
+        "Approve a request, by its SHA-256": "pqsec requests approve 0123456789abcdef",
     },
     exit_codes={
         0: "approved: the robot gets its certificate when it asks again",
@@ -98,7 +96,7 @@ def approve(ids: tuple[str, ...], file: Path) -> None:
 @requests.command(
     "refuse",
     examples={
-        "Refuse a request": "pqsec requests refuse 0123456789abcdef --config serve.yaml",
+        "Refuse a request": "pqsec requests refuse 0123456789abcdef",
     },
     exit_codes={
         0: "refused: the server never answers this request; a new one may follow",

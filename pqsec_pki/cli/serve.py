@@ -11,19 +11,20 @@ from pqsec_pki.server import begin_server, read_settings
 config_option = click.option(
     "--config",
     "file",
-    required=True,
+    default=Path("serve.yaml"),
+    show_default=True,
     type=_settings.FILE,
     metavar="FILE",
-    help="The server's configuration: serve.yaml.",
+    help="Use this configuration of the server.",
 )
 
 
 @_help.command(
     examples={
         "Write a configuration, and keys for TLS": (
-            "pqsec serve --config serve.yaml --init https://enrol.example:8443"
+            "pqsec serve --init https://enrol.example:8443"
         ),
-        "Run the server": "pqsec serve --config serve.yaml",
+        "Run the server": "pqsec serve",
         "Run its signer, which has the CA keys, as a service of its own": (
             "pqsec serve --config serve.yaml --part signer"
         ),

@@ -14,6 +14,7 @@ from dataclasses import field
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from shlex import quote
 from typing import Any
 
 from pqsec_pki._dataclass import dataclass
@@ -35,7 +36,7 @@ from pqsec_pki.documents.parts_yaml import (
     text,
 )
 from pqsec_pki.domain import FACTORY
-from pqsec_pki.errors import located, shown
+from pqsec_pki.errors import MissingError, located, shown
 from pqsec_pki.est import checked_url
 from pqsec_pki.keystore import Keystore, SharedRequests
 from pqsec_pki.server.addresses import Network, network
@@ -156,8 +157,14 @@ class ServerSettings:
 
 def read_settings(path: Path) -> ServerSettings:
     """Read `serve.yaml`. InvalidDocumentError with all its problems; FileError if unreadable."""
+    try:
+        data = read_file(path)
+    except MissingError as error:
+        named = f"--config {quote(str(path))}"
+        error.hint = f"name it with --config FILE, or write one: `pqsec serve {named} --init URL`"
+        raise
     with located(path):
-        found = read(read_file(path), partial(_settings, path.parent))
+        found = read(data, partial(_settings, path.parent))
     return ServerSettings(path=path, **found)
 
 
