@@ -16,6 +16,7 @@ if TYPE_CHECKING:
         add_grant,
         add_rights,
         allowed_domains,
+        granted_topics,
         remove_rights,
     )
     from pqsec_pki.access.change import Change, Difference, Sense
@@ -90,6 +91,7 @@ __all__ = [
     "domains_named",
     "domains_said",
     "domains_ungoverned",
+    "granted_topics",
     "interpretation_named",
     "is_known",
     "may_join",

@@ -7,6 +7,7 @@ if no other rule still allows it: otherwise nothing is changed, and the error na
 
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._expressions import Budget, meets, within
@@ -32,6 +33,12 @@ class TopicRights:
 def allowed_domains(grant: Grant) -> DomainSet | None:
     """The domains of its first allow rule; None if it has none."""
     return next((rule.domains for rule in grant.rules if rule.allow), None)
+
+
+def granted_topics(grant: Grant, action: Action, topic: str | None = None) -> list[str]:
+    """The topics and patterns that it allows for the action: all, or those that meet `topic`."""
+    granted = [each for rule in grant.rules if rule.allow for each in _topics(rule, action)]
+    return [each for each in granted if topic is None or meets(topic, [each], Budget())]
 
 
 def add_rights(grant: Grant, rights: TopicRights, domains: DomainSet) -> Grant:
@@ -76,10 +83,12 @@ def remove_rights(grant: Grant, rights: TopicRights) -> Grant:
         for rule in (each for each in kept if each.allow):
             left = [each for each in _topics(rule, action) if meets(topic, [each], Budget())]
             if left:
+                all_of_it = " ".join(f"--{action} {quote(each)}" for each in (*left, topic))
                 raise UsageError(
                     f"{grant.name} may still {action} {topic}: {_at(rule)} allows"
                     f" {', '.join(left)}",
-                    hint=f"remove that too, and add what stays; or {_HINT}",
+                    hint=f"`pqsec permit {quote(grant.name)} --remove {all_of_it}` removes that"
+                    f" too, then add what stays; or {_HINT}",
                 )
         if grant.default is DefaultAction.ALLOW:
             raise UsageError(

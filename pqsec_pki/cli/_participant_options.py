@@ -1,6 +1,6 @@
 """Options for the rights of participants, shared by commands that issue or request."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Iterable
 from datetime import timedelta
 from pathlib import Path
 from typing import Any, Self
@@ -24,8 +24,11 @@ _ROS = {
 }
 """Option -> function that returns the topics to publish and subscribe."""
 
-TOPIC_NAMES = ("publish", "subscribe", "ros_publish", "ros_subscribe", *_ROS)
-"""The names of the options for topics, as parameters."""
+SINGLE_TOPICS = ("publish", "subscribe", "ros_publish", "ros_subscribe")
+"""The names of the options for one topic each, as parameters."""
+
+TOPIC_NAMES = (*SINGLE_TOPICS, *_ROS)
+"""The names of all options for topics, as parameters."""
 
 _TOPICS = (
     click.option(
@@ -122,9 +125,6 @@ def topics_of(
     **ros_names: Any,
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The DDS topics to publish and to subscribe to, each once. UsageError for a ROS name."""
-    for option, topics in (("publish", publish), ("subscribe", subscribe)):
-        for topic in topics:
-            _note_ros_name(option, topic)
     publish += tuple(map(ros.topic, ros_publish))
     subscribe += tuple(map(ros.topic, ros_subscribe))
     for option, given in ros_names.items():
@@ -146,6 +146,7 @@ class ParticipantOptions:
     @classmethod
     def of(cls, *, policy: Path | None, validity: timedelta, **topics: Any) -> Self:
         """Values of the options. UsageError for an invalid ROS name, or topics and --policy."""
+        note_ros_names(topics["publish"], topics["subscribe"])
         publish, subscribe = topics_of(**topics)
         if policy and (publish or subscribe):
             raise UsageError("--policy and topics exclude each other")
@@ -181,10 +182,11 @@ def note_doubtful_topics(keystore: Keystore, names: Collection[str]) -> None:
         _printing.note(f"{found[0]}{more}")
 
 
-def _note_ros_name(option: str, topic: str) -> None:
-    """Note that a DDS topic has the form of a ROS 2 name: ROS 2 nodes do not use it."""
-    if ros.is_ros_name(topic):
-        _printing.note(
-            f"{topic} is a DDS topic here, and ROS 2 nodes use {ros.topic(topic)}: for that, use"
-            f" --ros-{option} {topic}"
-        )
+def note_ros_names(publish: Iterable[str], subscribe: Iterable[str]) -> None:
+    """Note DDS topics that have the form of a ROS 2 name: ROS 2 nodes do not use them."""
+    for option, topics in (("publish", publish), ("subscribe", subscribe)):
+        for topic in filter(ros.is_ros_name, topics):
+            _printing.note(
+                f"{topic} is a DDS topic here, and ROS 2 nodes use {ros.topic(topic)}: for that,"
+                f" use --ros-{option} {topic}"
+            )

@@ -19,7 +19,13 @@ from pqsec_pki.access import (
 from pqsec_pki.cli import _completion, _help, _passphrases, _policy, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import admitted
-from pqsec_pki.cli._participant_options import note_doubtful_topics, topic_options, topics_of
+from pqsec_pki.cli._participant_options import (
+    note_doubtful_topics,
+    note_ros_names,
+    topic_options,
+    topics_of,
+)
+from pqsec_pki.cli._removal import note_not_granted
 from pqsec_pki.cli.diff import difference_lines, note_incomplete
 from pqsec_pki.documents import DomainSet, Grant
 from pqsec_pki.errors import KeystoreError, UsageError
@@ -93,6 +99,8 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
     The change of rights is shown first. Either all participants are changed or none. Robots get
     the new permissions with their next bundle, or by a copy of the enclave.
     """
+    if add:
+        note_ros_names(topics["publish"], topics["subscribe"])
     publish, subscribe = topics_of(**topics)
     rights = TopicRights(publish=publish, subscribe=subscribe)
     _refuse_mixed(names, rights, domains, policy, add=add)
@@ -111,6 +119,8 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
     complete = note_incomplete(differences)
     if policy:
         _note_validity(policy, grants, found)
+    if not add:
+        note_not_granted(topics, [one for each in found if each.old for one in each.old.grants])
     if changes:
         if not yes:
             _ask(changes, differences)
