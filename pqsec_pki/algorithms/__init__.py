@@ -38,6 +38,7 @@ if TYPE_CHECKING:
         profile_named,
         usual_agreements,
     )
+    from pqsec_pki.algorithms.protection import protection_lost
     from pqsec_pki.algorithms.sealing import SealingPrivateKey, SealingPublicKey
     from pqsec_pki.algorithms.signature import SIGNATURES
 else:
@@ -77,6 +78,7 @@ __all__ = [
     "pem",
     "private_key_pem",
     "profile_named",
+    "protection_lost",
     "public_key_from_pem",
     "unpem",
     "usual_agreements",

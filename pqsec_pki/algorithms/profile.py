@@ -71,10 +71,14 @@ class Profile:
     @property
     def level(self) -> int:
         """NIST security category of the weakest part against a quantum computer; 0 means none."""
-        weakest = min(row.level for row in self.signature_keys)
+        return min(self.signature_level, self.key_agreement.level)
+
+    @property
+    def signature_level(self) -> int:
+        """The category of the signatures of certificates and documents."""
         if self.alternative_key:
-            weakest = self.alternative_key.level
-        return min(weakest, self.key_agreement.level)
+            return self.alternative_key.level
+        return min(row.level for row in self.signature_keys)
 
     @property
     def signature_keys(self) -> tuple[SignatureAlgorithm, ...]:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 
+from pqsec_pki.algorithms import protection_lost
 from pqsec_pki.cli import _printing
 from pqsec_pki.lifecycle import RolloverPlan, RolloverResult, Scope
 from pqsec_pki.vendors import TRUST
@@ -79,6 +80,7 @@ def _breaks(plan: RolloverPlan) -> Iterator[str]:
     before, after = plan.before, plan.terms.profile
     if before.name != after.name:
         yield f"Profile {after.name} runs in {after.runs_in}."
+    yield from (f"Protection is lost: {each}." for each in protection_lost(before, after))
     if before.runs_in_stock and not after.runs_in_stock:
         yield "Participants in a stock stack stop working; install pqsec's plugin first."
         if not before.alternative_key:

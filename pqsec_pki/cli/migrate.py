@@ -92,6 +92,11 @@ def plan(  # noqa: PLR0913 -- one for each option, by name
     if rehearsal is not None:
         value["rehearsal"] = rehearsal
         lines += ["", *_rehearsal_lines(rehearsal)]
+    if any(step.lost for step in found.steps):
+        _printing.note(
+            f"profile {found.target} protects less against quantum computers than profile"
+            f" {found.before}: see `lost`"
+        )
     _printing.emit(value, lines)
     if rehearsal is not None and not rehearsal.ok:
         click.get_current_context().exit(1)

@@ -5,7 +5,7 @@ All CAs and participants are replaced, so a plan with this change has no other s
 
 from datetime import datetime
 
-from pqsec_pki.algorithms import profile_named
+from pqsec_pki.algorithms import profile_named, protection_lost
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
 from pqsec_pki.errors import KeystoreError
@@ -33,11 +33,12 @@ def plan_profile_change(desired: Desired, keystore: Keystore, *, now: datetime) 
         f"from {desired.migrate_from} to {desired.profile}: new CAs, and new certificates for"
         f" {count} participants"
     )
+    lost = protection_lost(rollover.before, rollover.terms.profile)
     blocked = (
         Blocked(name, f"is not reissued: {reason}", "issue it again")
         for name, reason in rollover.left_out.items()
     )
-    step = Step(StepAction.CHANGE_PROFILE, "", why)
+    step = Step(StepAction.CHANGE_PROFILE, "", "; ".join((why, *lost)))
     return Plan((step,), tuple(blocked), (), 0, rollover.head)
 
 

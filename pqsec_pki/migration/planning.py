@@ -4,7 +4,7 @@ from datetime import datetime
 from itertools import pairwise
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.algorithms import Family, Profile, profile_named
+from pqsec_pki.algorithms import Family, Profile, profile_named, protection_lost
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Rollover, RolloverPlan, plan_rollover
 from pqsec_pki.migration._temporary_folder import temporary_folder
@@ -119,6 +119,7 @@ class _StepFinder:
             at_once=failed is not None,
             stacks=tuple(self._needs(each, refusals.get(each.name)) for each in self.stacks),
             mixed=f"robots with old and with new files {words}",
+            lost=protection_lost(old.profile, new.profile),
             if_skipped=_kept(old.profile, new.profile, before, after),
             reissued=len(rollover.keeping) + len(rollover.rekeyed),
             left_out=dict(rollover.left_out),
@@ -164,7 +165,8 @@ def _kept(old: Profile, new: Profile, before: int, after: int) -> tuple[str, ...
     """What stays as it is without the change."""
     rows = {*old.signature_keys, *([old.alternative_key] if old.alternative_key else [])}
     weak = sorted(row.name for row in rows if row.family is Family.CLASSICAL)
-    found = [f"certificates and documents keep {', '.join(weak)} keys"] if weak else []
+    stronger = weak and new.signature_level
+    found = [f"certificates and documents keep {', '.join(weak)} keys"] if stronger else []
     if before < after:
         found.append(f"traffic keeps NIST level {before} instead of {after}")
     lost = [f"not met: {each.text}" for each in new.promises if not each.kept(old)]

@@ -31,6 +31,8 @@ class MigrationStep:
     stacks: tuple[StackNeeds, ...] = ()
     mixed: str
     """What robots before and after the step can do with each other."""
+    lost: tuple[str, ...] = ()
+    """What is protected less against quantum computers after it."""
     if_skipped: tuple[str, ...]
     """What breaks without it."""
     reissued: int = 0
@@ -47,6 +49,7 @@ class MigrationStep:
 
     def facts(self) -> Iterator[tuple[str, str]]:
         """The step in words: (kind, text) of each fact."""
+        yield from (("lost", each) for each in self.lost)
         yield from (("run", each) for each in self.commands)
         yield from (("needs", f"{each.stack}: {each.needs}") for each in self.stacks)
         yield "mixed", self.mixed

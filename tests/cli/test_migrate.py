@@ -19,6 +19,38 @@ def test_a_plan_and_its_rehearsal(domains, pqsec):
     pqsec("-k missing migrate plan").refused(3, "missing")
 
 
+def test_a_plan_that_gives_up_protection_against_quantum_computers_says_so(keystore, pqsec):
+    root = keystore("transition")
+    line = f"-k {root} migrate plan --to classical --stack cyclonedds"
+    result = pqsec(line).done()
+    lost = "no protection against quantum computers, which can"
+    files = f"certificates and documents: {lost} forge them (before: NIST level 3)"
+    traffic = (
+        f"traffic between robots with pqsec's plugin: {lost} decrypt recordings of it"
+        " (before: NIST level 3)"
+    )
+    note = "note: profile classical protects less against quantum computers than profile transition"
+    assert f"   lost     {files}\n   lost     {traffic}\n" in result.out
+    assert note in result.err
+    assert "skipped  certificates and documents keep" not in result.out
+    [step] = pqsec(f"{line} --json").done().json["steps"]
+    assert step["lost"] == [files, traffic]
+    rotation = pqsec(f"-k {root} ca rotate --profile classical").done().out
+    assert f"  - Protection is lost: {files}.\n" in rotation
+    (root / "back.yaml").write_text(
+        "profile: classical\nmigrate_from: transition\nparticipants: []"
+    )
+    assert f"; {files}; {traffic})" in pqsec(f"-k {root} plan {root}/back.yaml").out
+
+
+def test_a_plan_that_gives_up_no_protection_does_not_say_so(keystore, pqsec):
+    root = keystore("classical")
+    for target in ("transition", "pq"):
+        result = pqsec(f"-k {root} migrate plan --to {target} --stack cyclonedds").done()
+        assert "lost" not in result.out
+        assert "protects less" not in result.err
+
+
 def test_a_rehearsal_that_fails_ends_with_1(keystore, pqsec):
     root = keystore("classical")
     topics = "".join(f" --publish rt/some/very/long/topic/name/number{n:06d}" for n in range(3650))
