@@ -19,27 +19,23 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin import listening
 from pqsec_pki.plugin.agent_folder import AgentFolder
 from pqsec_pki.plugin.calls import CONTROL
-from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection
+from pqsec_pki.plugin.command_line import CommandLine
+from pqsec_pki.plugin.connection import GREETED, AgentContext
 from pqsec_pki.plugin.greeting import Greeting, VersionError
-from pqsec_pki.plugin.incoming import IncomingConnection, refuse
+from pqsec_pki.plugin.incoming import IncomingConnection, IncomingConnections, refuse
 from pqsec_pki.plugin.inherited import Inherited
 from pqsec_pki.plugin.lists import MAX_CAS
 from pqsec_pki.plugin.notes import Clock, Log, Notes
 from pqsec_pki.plugin.staying import load_the_rest, replaced, staying
 from pqsec_pki.plugin.system import keep_limits
-from pqsec_pki.plugin.worker import AT_ONCE, AgentWorker, OpenConnection
+from pqsec_pki.plugin.worker import AgentWorker
 from pqsec_pki.plugin.workers import Served, Workers
 
 MAX_CONNECTIONS = 512
 """Connections. A DDS process has two for each domain."""
 _GRACE_SECONDS = 20.0
 """Seconds that the process that started the agent may take to connect."""
-_STARTER_SECONDS = 2.0
-"""Seconds in which the agent reads that process's greeting first. A process served before it could
-use the rights of its groups; one that the agent cannot serve could end the agent."""
 _LONGEST_WAIT = 3600.0
-_ANSWER_SECONDS = 1.0
-"""Seconds that workers may take to count their objects; else their former answer is shown."""
 RESERVED_FILES = 32 + MAX_CAS
 """Open files that are reserved for other things than connections, such as revocation lists."""
 _SPARE = 8
@@ -73,14 +69,8 @@ class Agent:
         self._stays, self._starter = stays, starter
         self._is_loaded = False
         self._notes = Notes("agent", log, clock)
-        self._context = AgentContext(clock, log, self._status, self._stop)
-        self._incoming: set[IncomingConnection] = set()
-        self._deferred: list[IncomingConnection] = []
-        """Of these, the ones that are read after the host that started the agent."""
-        self._clients: dict[OpenConnection, float] = {}
-        """The command line's connections, and until when one waits for workers; 0 if none does."""
         self._most = MAX_CONNECTIONS
-        self._paused_until = self._starter_until = 0.0
+        self._paused_until = 0.0
         self._why = ""
         """Why it has retired; empty if it has not."""
         self._stopping = False
@@ -121,9 +111,15 @@ class Agent:
         self._listener = listener
         self._selector = selectors.DefaultSelector()  # which would not outlive a fork
         self._workers = Workers(self._work, self._selector, self._notes.add)
+        context = AgentContext(self._clock, self._log, self._status, self._stop)
+        self._command_line = CommandLine(context, self._selector, self._workers, self._notes.add)
+        self._incoming = IncomingConnections(
+            self._selector,
+            self._starter if self._inherited else None,
+            self._greeted,
+            self._notes.add,
+        )
         self._selector.register(listener, selectors.EVENT_READ, lambda _: self._accept())
-        if self._inherited and self._starter is not None:
-            self._starter_until = time.monotonic() + _STARTER_SECONDS
         self._log(f"listening at {self._place.socket}")
         with listener:
             self._serve()
@@ -147,9 +143,10 @@ class Agent:
             for key, events in found:
                 if key.fileobj.fileno() >= 0:  # type: ignore[union-attr] # may be closed since
                     key.data(events)
-            self._answer()
-            if self._starter_until and time.monotonic() >= self._starter_until:
-                self._watch_deferred()
+            self._command_line.answer()
+            overdue = self._incoming.starter_until
+            if overdue and time.monotonic() >= overdue:
+                self._incoming.read_deferred()
             if not (found or self._is_loaded):
                 self._is_loaded = True
                 load_the_rest(self._notes.add)
@@ -159,24 +156,23 @@ class Agent:
     @property
     def _count(self) -> int:
         """The number of connections."""
-        return len(self._incoming) + len(self._clients) + len(self._workers)
+        return len(self._incoming) + len(self._command_line) + len(self._workers)
 
     @property
     def _links(self) -> list[socket.socket]:
         """The sockets that the agent reads itself."""
-        return [each.link for each in self._incoming] + [each.link for each in self._clients]
+        return self._incoming.links + self._command_line.links
 
     def _until_next_step(self) -> float:
         """Seconds until the next step that no event starts."""
         now, idle = time.monotonic(), self._workers.dismiss_idle()
-        asked = [until for until in self._clients.values() if until]
-        waits = [0.0 if self._workers.has_answered else until - now for until in asked]
+        waits = [until - now for until in self._command_line.due]
         if idle is not None:
             waits.append(idle)
         if not self._is_loaded:
             waits.append(_QUIET)
-        if self._starter_until:
-            waits.append(self._starter_until - now)
+        if self._incoming.starter_until:
+            waits.append(self._incoming.starter_until - now)
         if self._paused_until > now:
             waits.append(self._paused_until - now)
         elif self._paused_until:  # the pause is over
@@ -201,57 +197,16 @@ class Agent:
         elif self._count >= self._most + _SPARE:
             self._refuse_full(link, process)
         else:
-            incoming = IncomingConnection(link, process)
-            self._incoming.add(incoming)
-            if self._starter_until and process != self._starter:
-                self._deferred.append(incoming)
-            else:
-                self._watch(incoming)
+            self._incoming.add(IncomingConnection(link, process))
 
-    def _watch(self, incoming: IncomingConnection) -> None:
-        self._selector.register(incoming.link, selectors.EVENT_READ, lambda _: self._read(incoming))
-
-    def _watch_deferred(self) -> None:
-        """Read the others: the greeting of the host that started the agent is read, or overdue."""
-        deferred, self._deferred, self._starter_until = self._deferred, [], 0.0
-        for each in deferred:
-            self._watch(each)
-
-    def _read(self, incoming: IncomingConnection) -> None:
-        try:
-            greeting = incoming.greeting()
-            if not greeting:
-                return
-        except BlockingIOError:
-            return
-        except VersionError as error:
-            self._forget(incoming)
+    def _greeted(self, incoming: IncomingConnection, greeting: Greeting | VersionError) -> None:
+        if isinstance(greeting, VersionError):
             if not self._leaves_to_new_agent(incoming):
-                refuse(incoming.link, str(error))
-            return
-        except (OSError, PqsecError) as error:
-            if not isinstance(error, ConnectionError):  # closing a connection is not an error
-                self._notes.add(f"{incoming.who}: {error}")
-            self._forget(incoming)
-            incoming.link.close()
-            return
-        self._selector.unregister(incoming.link)
-        if greeting.plugin == CONTROL:
-            self._serve_command_line(incoming)
+                refuse(incoming.link, str(greeting))
+        elif greeting.plugin == CONTROL:
+            self._command_line.serve(incoming)
         else:
             self._hand_over(incoming, greeting)
-        self._settle(incoming)
-
-    def _forget(self, incoming: IncomingConnection) -> None:
-        """Forget a connection that did not greet."""
-        self._selector.unregister(incoming.link)
-        self._settle(incoming)
-
-    def _settle(self, incoming: IncomingConnection) -> None:
-        """It no longer waits for its greeting, and others no longer wait for the starter's."""
-        self._incoming.discard(incoming)
-        if self._starter_until and incoming.process == self._starter:
-            self._watch_deferred()
 
     def _refuse_full(self, link: socket.socket, process: int) -> None:
         why = (
@@ -304,7 +259,7 @@ class Agent:
 
     def _is_starter(self, incoming: IncomingConnection) -> bool:
         """Whether the host that started the agent connects; a later process may have its number."""
-        is_there = self._starter_until or any(
+        is_there = self._incoming.starter_until or any(
             each.process == self._starter for each in self._workers.served
         )
         return bool(is_there) and incoming.process == self._starter
@@ -325,44 +280,6 @@ class Agent:
             self._notes.add(f"it is not shown by `pqsec agent status`: {error}")
         else:
             self._selector.register(self._listener, selectors.EVENT_READ, lambda _: self._accept())
-
-    def _serve_command_line(self, incoming: IncomingConnection) -> None:
-        connection = Connection(self._context, incoming.who, CONTROL)
-        client = OpenConnection(incoming.link, connection, self._attend)
-        client.outbox += GREETED
-        self._clients[client] = 0.0
-        self._attend(client, 0)
-
-    def _attend(self, client: OpenConnection, events: int) -> None:
-        """Serve the command line."""
-        try:
-            if events & selectors.EVENT_READ:
-                octets = client.link.recv(AT_ONCE)
-                if not octets:
-                    raise ConnectionResetError
-                client.connection.hear(octets)
-            client.flush()
-            if not client.outbox and client.connection.waits:
-                self._workers.ask()
-                self._clients[client] = time.monotonic() + _ANSWER_SECONDS
-            # A process that does not read its answers is not read from, so few answers wait.
-            waiting = selectors.EVENT_WRITE if client.outbox else selectors.EVENT_READ
-            events = 0 if self._clients[client] else waiting
-            client.watch(self._selector, events)
-        except (OSError, PqsecError) as error:
-            if not isinstance(error, ConnectionError):
-                self._notes.add(f"{client.connection.what[0]}: {error}")
-            del self._clients[client]
-            client.close(self._selector)
-
-    def _answer(self) -> None:
-        """Answer the command line, when the workers have answered or take too long."""
-        now = time.monotonic()
-        for client, until in list(self._clients.items()):
-            if until and (self._workers.has_answered or now >= until):
-                self._clients[client] = 0.0
-                client.outbox += client.connection.answer()
-                self._attend(client, 0)
 
     def _work(self, orders: socket.socket, lists: socket.socket) -> NoReturn:
         """Run in a new worker."""
