@@ -8,6 +8,7 @@ Its content:
     _settings     reads and writes pqsec.json
     participant   the files of one participant, and their content
     authorities   the CAs with their private keys
+    ca_keys       the files of those keys
     keystore      opens and creates the folder
     patterns      participants given as patterns and groups
     groups        the groups that `apply` stored
@@ -86,15 +87,9 @@ if TYPE_CHECKING:
         policy_of,
     )
     from pqsec_pki.keystore.auditing import audit
-    from pqsec_pki.keystore.authorities import (
-        Authorities,
-        SigningCa,
-        ca_key_files,
-        check_pair,
-        key_algorithms,
-        load_ca_key,
-    )
+    from pqsec_pki.keystore.authorities import Authorities, check_pair
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
+    from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.heads import SeenLedger

@@ -2,62 +2,25 @@
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
-from enum import StrEnum
 from pathlib import Path
 from typing import Self, TypeVar
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import read
 from pqsec_pki._times import said
-from pqsec_pki.algorithms import (
-    PrivateKey,
-    Profile,
-    PublicKey,
-    SignatureAlgorithm,
-)
+from pqsec_pki.algorithms import PrivateKey, Profile, PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import Authority, Certificate
-from pqsec_pki.errors import (
-    FileError,
-    KeystoreError,
-    MissingError,
-    PassphraseError,
-    UsageError,
-    located,
-)
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore._transaction import StagedFolder
+from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import Signer, sign
-from pqsec_pki.tokens import Pin, is_reference, key_file, key_in, stored_pin
+from pqsec_pki.tokens import Pin, key_file
 
 Done = TypeVar("Done")
 Item = TypeVar("Item")
-
-_KEYLESS = (
-    "status, log, check, explain, who-may, diff, verify-handshake, bundle and export need no CA key"
-)
-
-
-class SigningCa(StrEnum):
-    """A CA whose private keys a command needs."""
-
-    IDENTITY = "identity CA"
-    PERMISSIONS = "permissions CA"
-    """Includes its countersigner."""
-
-    @property
-    def label(self) -> str:
-        """The name in options and files: identity or permissions."""
-        return self.name.lower()
-
-    @property
-    def key_files(self) -> tuple[str, str]:
-        """The names of the files of its keys; the second only if it has a second key."""
-        if self is SigningCa.IDENTITY:
-            return layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY
-        return layout.PERMISSIONS_KEY, layout.PERMISSIONS_ALT_KEY
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,12 +202,6 @@ def unlock(
     return authorities
 
 
-def ca_key_files(profile: Profile, cas: Collection[SigningCa] = ()) -> list[str]:
-    """The names of the files of the keys of `cas`, or of all CAs."""
-    wanted = {name for each in cas or SigningCa for name in each.key_files}
-    return [name for name in key_algorithms(profile) if name in wanted]
-
-
 def _each(
     work: Callable[[Item], Done], items: Sequence[Item], passphrase: bytes | None
 ) -> list[Done]:
@@ -273,17 +230,6 @@ def _keys(authorities: Authorities) -> Iterator[tuple[str, PrivateKey]]:
         yield layout.PERMISSIONS_ALT_KEY, authorities.countersigner.key
 
 
-def key_algorithms(profile: Profile) -> dict[str, SignatureAlgorithm]:
-    """The names of the files of CA keys -> the algorithms of their keys."""
-    found = {
-        layout.IDENTITY_KEY: profile.identity_key,
-        layout.PERMISSIONS_KEY: profile.permissions_key,
-    }
-    if second := profile.alternative_key:
-        found |= {layout.IDENTITY_ALT_KEY: second, layout.PERMISSIONS_ALT_KEY: second}
-    return found
-
-
 def _refuse_unfit(wanted: Mapping[str, SignatureAlgorithm], keys: Mapping[str, PrivateKey]) -> None:
     for name, key in keys.items():
         if key.algorithm is not wanted.get(name):
@@ -292,38 +238,6 @@ def _refuse_unfit(wanted: Mapping[str, SignatureAlgorithm], keys: Mapping[str, P
         raise UsageError(
             "two CAs would have the same key (CVE-2023-24010)", hint="name another key for one"
         )
-
-
-def read_ca_key(path: Path) -> bytes:
-    """The file of a CA's private key; KeystoreError if it is missing, FileError if unreadable."""
-    try:
-        return read(path)
-    except MissingError:
-        raise KeystoreError(
-            "the CA's private key is not here",
-            hint="restore the key for this command. If another machine has it, use `pqsec"
-            " sign-request`; if each CA has its own machine, `pqsec issue --certificate-only` and"
-            f" `pqsec permit`. {_KEYLESS}",
-            where=path,
-        ) from None
-    except FileError as error:
-        error.hint = error.hint or f"signing needs read access to {path.parent}. {_KEYLESS}"
-        raise
-
-
-def load_ca_key(path: Path, passphrase: bytes | None, pin: Pin | None = None) -> PrivateKey:
-    """The private key in the file `path`, or in the token that it refers to.
-
-    PassphraseError if `passphrase` or the PIN is wrong. Errors as of `read_ca_key` and `find_key`.
-    """
-    data = read_ca_key(path)
-    try:
-        with located(path):
-            return key_in(data, passphrase, pin or stored_pin)
-    except PassphraseError as error:
-        if not is_reference(data):
-            error.hint = "give the CA passphrase: --passphrase-file, or at the prompt"
-        raise
 
 
 def _check_pairs(authorities: Authorities) -> None:

@@ -29,13 +29,8 @@ from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import (
-    Authorities,
-    SigningCa,
-    ca_key_files,
-    read_ca_key,
-    unlock,
-)
+from pqsec_pki.keystore.authorities import Authorities, unlock
+from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, read_ca_key
 from pqsec_pki.keystore.groups import read_groups
 from pqsec_pki.keystore.participant import (
     enclave_files,

@@ -10,7 +10,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore._address import LedgerAddress
-from pqsec_pki.keystore.authorities import SigningCa, ca_key_files
+from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 
