@@ -12,14 +12,8 @@ from cryptography.hazmat.primitives.serialization import (
     load_pem_private_key,
 )
 
-from pqsec_pki._asn1 import (
-    Oid,
-    OneAsymmetricKey,
-    SubjectPublicKeyInfo,
-    decode,
-    elements,
-    encode,
-)
+from pqsec_pki._asn1 import Oid, OneAsymmetricKey, SubjectPublicKeyInfo, decode, encode
+from pqsec_pki._der import elements
 from pqsec_pki.algorithms import _pbes2
 from pqsec_pki.algorithms._composite import Composite
 from pqsec_pki.algorithms._ml_dsa import MLDSA

@@ -23,16 +23,13 @@ from pqsec_pki._asn1 import (
     TBSCertificate,
     TBSCertList,
     attribute,
-    begins,
     bits,
-    content,
     decode,
-    elements,
     encode,
-    sequence_of,
     whole_bytes,
 )
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._der import begins, content, elements, sequence_of
 from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.errors import MalformedError
 

@@ -13,8 +13,9 @@ from weakref import WeakValueDictionary
 
 from cryptography import x509
 
-from pqsec_pki._asn1 import AlgorithmIdentifier, begins, content, decode, elements, plain_words
+from pqsec_pki._asn1 import AlgorithmIdentifier, decode, plain_words
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._der import begins, content, elements
 from pqsec_pki.algorithms import (
     PublicKey,
     exact_der,

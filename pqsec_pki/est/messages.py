@@ -13,8 +13,8 @@ from pqsec_pki._asn1 import (
     attribute,
     decode,
     encode,
-    sequence_of,
 )
+from pqsec_pki._der import sequence_of
 from pqsec_pki.algorithms import SignatureAlgorithm
 from pqsec_pki.certificates import Certificate, alternative_attributes
 from pqsec_pki.errors import MalformedError

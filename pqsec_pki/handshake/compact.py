@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping
 from enum import IntEnum
 from functools import lru_cache
 
-from pqsec_pki._asn1 import leading
+from pqsec_pki._der import leading
 from pqsec_pki.algorithms import pem, unpem
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.handshake._checks import check

@@ -6,7 +6,8 @@ import pytest
 from cryptography.hazmat.primitives.asymmetric import rsa
 from cryptography.hazmat.primitives.serialization import Encoding, PublicFormat
 
-from pqsec_pki._asn1 import Oid, bits, content, elements, encode, sequence_of
+from pqsec_pki._asn1 import Oid, bits, encode
+from pqsec_pki._der import content, elements, sequence_of
 from pqsec_pki.algorithms import SIGNATURES, load_public_key
 from pqsec_pki.certificates import Authority, Certificate
 from pqsec_pki.certificates._alternative import _covered_by_certificate

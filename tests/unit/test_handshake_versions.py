@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 
-from pqsec_pki._asn1 import attribute, leading
+from pqsec_pki._asn1 import attribute
+from pqsec_pki._der import leading
 from pqsec_pki.algorithms import KEY_AGREEMENTS
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import MalformedError, VerificationError

@@ -32,6 +32,7 @@ GROUND = {
     "_assets",
     "_csv",
     "_dataclass",
+    "_der",
     "_files",
     "_lazy",
     "_owners",
