@@ -47,7 +47,7 @@ def cyclonedds_topic(context: EvaluationContext) -> Decision:
     rule = next(context.topic_rules, None)
     if rule is None:
         return ungoverned(context)
-    if _is_half_open(rule):
+    if rule.is_half_open:
         return opened(context, rule)
     for each in context.rules:
         for criteria in (*each.publish, *each.subscribe):
@@ -163,7 +163,7 @@ def opendds_own_participant(context: EvaluationContext) -> Decision:
         if not rule.enable_join_access_control:
             return yes(f"join access control is off on domain {context.question.domain}", rule)
         for topic_rule in rule.topic_rules:
-            if _is_half_open(topic_rule):
+            if topic_rule.is_half_open:
                 return yes("governance has a topic that is open to all", topic_rule)
     text = "OpenDDS creates no participant if governance controls joining and every topic"
     return no(text, context.domain_rules[0])
@@ -176,7 +176,7 @@ def opendds_topic(context: EvaluationContext) -> Decision:
     if not governing:
         return ungoverned(context)
     for topic_rule in governing:
-        if _is_half_open(topic_rule):
+        if topic_rule.is_half_open:
             return opened(context, topic_rule)
     denied = set[Action]()
     for rule in context.rules:
@@ -211,7 +211,3 @@ def opendds_remote_participant(context: EvaluationContext) -> Decision:
 
 def _opendds_topic_rules(context: EvaluationContext) -> list[TopicRule]:
     return [rule for domain_rule in context.domain_rules for rule in context.covering(domain_rule)]
-
-
-def _is_half_open(rule: TopicRule) -> bool:
-    return not (rule.enable_read_access_control and rule.enable_write_access_control)

@@ -5,6 +5,7 @@ refused, and so are numbers that are not integers. A signature is over the canon
 was read: blanks and line ends, which mail and git may change, do not matter.
 """
 
+import hashlib
 import json
 import re
 from collections.abc import Callable, Iterator, Mapping
@@ -21,6 +22,11 @@ def canonical(value: object) -> bytes:
     """`value` in the form of RFC 8785; all names of objects are ASCII here."""
     text = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return text.encode()
+
+
+def digest_of(value: object) -> str:
+    """SHA-256, in hex, of the canonical form."""
+    return hashlib.sha256(canonical(value)).hexdigest()
 
 
 def readable(value: object) -> bytes:

@@ -4,7 +4,6 @@ What is signed begins with a line that nothing else begins with which such a key
 certificate, document, request or handshake.
 """
 
-import hashlib
 from base64 import b64decode, b64encode
 from collections.abc import Sequence
 from datetime import datetime
@@ -14,6 +13,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.approvals._canonical import (
     canonical,
+    digest_of,
     exactly,
     parsed,
     readable,
@@ -65,7 +65,7 @@ class Approval:
     @property
     def sha256(self) -> str:
         """SHA-256, in hex, of the approval with its signature."""
-        return hashlib.sha256(canonical(self.to_json())).hexdigest()
+        return digest_of(self.to_json())
 
     def verify(self, policy: ApprovalPolicy) -> None:
         """VerificationError unless an approver of `policy` signed it."""

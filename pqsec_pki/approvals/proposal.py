@@ -1,6 +1,5 @@
 """A plan that is proposed: which steps, with what in them, for which domain file and keystore."""
 
-import hashlib
 from datetime import datetime
 from functools import cached_property
 from typing import Self
@@ -9,7 +8,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.approvals._canonical import (
     boolean,
-    canonical,
+    digest_of,
     exactly,
     items,
     parsed,
@@ -146,7 +145,7 @@ class PlanProposal:
     @cached_property
     def digest(self) -> str:
         """SHA-256, in hex, of its canonical form."""
-        return hashlib.sha256(canonical(self.to_json())).hexdigest()
+        return digest_of(self.to_json())
 
     def refuse_expired(self, now: datetime) -> None:
         """VerificationError if it is too late for it."""

@@ -5,7 +5,6 @@ grant has all of its limits, with the rules of its roles in full: what a domain 
 changes nothing.
 """
 
-import hashlib
 from base64 import b64decode, b64encode
 from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta
@@ -17,6 +16,7 @@ from pqsec_pki._times import days, said
 from pqsec_pki.algorithms import PrivateKey, PublicKey, load_public_key
 from pqsec_pki.approvals._canonical import (
     canonical,
+    digest_of,
     exactly,
     items,
     parsed,
@@ -110,7 +110,7 @@ class RegistrationGrant:
     @cached_property
     def digest(self) -> str:
         """SHA-256, in hex, of its canonical form: by it, orders and the ledger name the grant."""
-        return hashlib.sha256(canonical(self.to_json())).hexdigest()
+        return digest_of(self.to_json())
 
     def signed_by(self, keys: Sequence[PrivateKey]) -> "SignedGrant":
         """The grant with a signature of each of the identity CA's keys."""

@@ -90,9 +90,9 @@ def add_certificate(assets: Assets, certificate: Certificate, place: str, issuer
 
 def _alternatives(assets: Assets, certificate: Certificate) -> Iterator[tuple[str, str]]:
     """The alternative key and signature of a certificate: each its name and ref."""
-    alternative = certificate.alternative
-    if alternative and alternative.spki:
-        yield "alternativePublicKey", add_public_key(assets, alternative.spki)
+    alternative, spki = certificate.alternative, certificate.alternative_spki
+    if spki:
+        yield "alternativePublicKey", add_public_key(assets, spki)
     if alternative and alternative.identifier:
         signature = _algorithms.signed_with(assets, alternative.identifier, None)
         yield "alternativeSignatureAlgorithm", signature
@@ -173,8 +173,8 @@ def _protection(
 def add_request(assets: Assets, request: CertificateRequest, place: str) -> None:
     """Add the keys that a certificate request is for."""
     add_public_key(assets, request.spki, place)
-    if request.alternative and request.alternative.spki:
-        add_public_key(assets, request.alternative.spki, place)
+    if request.alternative_spki:
+        add_public_key(assets, request.alternative_spki, place)
 
 
 def add_list(assets: Assets, crl: RevocationList, place: str, issuers: Issuers) -> None:

@@ -139,8 +139,8 @@ class _Reader:
         if path.name.endswith(ALT_KEY):
             for folder in folders:
                 found = self._first(folder / f"{path.name.removesuffix(ALT_KEY)}{CERTIFICATE}")
-                if found and found.alternative:
-                    return found.alternative.spki
+                if found and found.alternative_spki:
+                    return found.alternative_spki
         return None
 
     def _first(self, path: Path) -> Certificate | None:

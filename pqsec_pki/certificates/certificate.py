@@ -138,12 +138,15 @@ class Certificate:
         """The subject's key; UnknownAlgorithmError if no row is for it."""
         return load_public_key(self.spki)
 
+    @property
+    def alternative_spki(self) -> bytes | None:
+        """DER SubjectPublicKeyInfo of the subject's alternative key, if it has one."""
+        return self.alternative.spki if self.alternative else None
+
     @cached_property
     def alternative_key(self) -> PublicKey | None:
         """The subject's alternative key (extension 2.5.29.72), if it has one."""
-        if self.alternative is None or self.alternative.spki is None:
-            return None
-        return load_public_key(self.alternative.spki)
+        return None if self.alternative_spki is None else load_public_key(self.alternative_spki)
 
     @property
     def with_alternative_key(self) -> "Certificate | None":
@@ -151,9 +154,7 @@ class Certificate:
 
         None if it has none. `spki` and `public_key` differ; the rest is the same.
         """
-        if self.alternative is None or self.alternative.spki is None:
-            return None
-        return replace(self, spki=self.alternative.spki)
+        return None if self.alternative_spki is None else replace(self, spki=self.alternative_spki)
 
     @property
     def own_keys(self) -> tuple[PublicKey, ...]:

@@ -99,11 +99,14 @@ class CertificateRequest:
         return load_public_key(self.spki)
 
     @property
+    def alternative_spki(self) -> bytes | None:
+        """DER SubjectPublicKeyInfo of the alternative key to be certified, if there is one."""
+        return self.alternative.spki if self.alternative else None
+
+    @property
     def alternative_key(self) -> PublicKey | None:
         """The alternative key to be certified, if there is one."""
-        if self.alternative is None or self.alternative.spki is None:
-            return None
-        return load_public_key(self.alternative.spki)
+        return None if self.alternative_spki is None else load_public_key(self.alternative_spki)
 
     @property
     def common_name(self) -> str | None:

@@ -63,6 +63,11 @@ class TopicRule:
         if self.data_protection_kind not in _PAYLOAD_KINDS:
             raise UsageError(f"data_protection_kind cannot be {self.data_protection_kind}")
 
+    @property
+    def is_half_open(self) -> bool:
+        """Whether permissions do not decide who may read, or who may write."""
+        return not (self.enable_read_access_control and self.enable_write_access_control)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DomainRule:

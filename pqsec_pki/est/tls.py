@@ -87,21 +87,16 @@ def spki_pin(certificate: Certificate) -> str:
     return hashlib.sha256(certificate.spki).hexdigest()
 
 
-def server_context(
-    identities: Iterable[TlsIdentity], *, classical: bool = False, client_cas: bytes = b""
-) -> SSL.Context:
+def server_context(identities: Iterable[TlsIdentity], *, classical: bool = False) -> SSL.Context:
     """A context of a server, which asks for a client's certificate and accepts any, or none.
 
     `identities` have keys of different kinds. With `classical` there is TLS 1.2 too, and the caller
-    must not use `refuse_classical`. `client_cas`, in PEM, are named to clients that choose among
-    certificates. PqsecError for an identity that OpenSSL refuses.
+    must not use `refuse_classical`. PqsecError for an identity that OpenSSL refuses.
     """
     context = _context(SSL.TLS_SERVER_METHOD, classical=classical)
     context.set_session_id(_SESSION)
     for each in identities:
         _use(context, each)
-    for authority in _authorities(client_cas) if client_cas else ():
-        context.add_client_ca(authority)
     context.set_verify(SSL.VERIFY_PEER, _accept)
     return context
 
@@ -229,10 +224,6 @@ def _is_for(certificate: Certificate, host: str) -> bool:
     except ValueError:
         known = names.get_values_for_type(x509.DNSName)
         return host.lower() in [each.lower() for each in known]
-
-
-def _authorities(pem: bytes) -> list[x509.Certificate]:
-    return [x509.load_der_x509_certificate(each.der) for each in Certificate.all_from_pem(pem)]
 
 
 def _certificate(found: crypto.X509) -> Certificate:

@@ -68,6 +68,12 @@ def key_fact(label: str, spki: bytes) -> Fact:
     return Fact.of(label, {**row_value(row), "sha256": digest}, row_words(row))
 
 
+def alternative_key_fact(spki: bytes | None) -> Fact:
+    """The alternative public key in `spki`, if there is one."""
+    label = "alternative key"
+    return key_fact(label, spki) if spki else Fact.of(label, None, "none")
+
+
 def row_value(row: SignatureAlgorithm) -> dict[str, Value]:
     """A row as a JSON value."""
     return {"algorithm": row.name, "family": row.family.value, "nist_level": row.level}

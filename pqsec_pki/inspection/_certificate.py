@@ -23,7 +23,7 @@ def describe_certificate(der: bytes, now: datetime) -> Description:
         Fact.of("version", certificate.version, f"X.509 version {certificate.version}"),
         _times.validity(certificate.not_before, certificate.not_after, now),
         _algorithms.key_fact("key", certificate.spki),
-        *_alternative_key(certificate),
+        _algorithms.alternative_key_fact(certificate.alternative_spki),
         *_stacks(certificate, role),
         *_signatures(certificate),
         _extensions.extensions_fact("extensions", certificate.extensions),
@@ -56,13 +56,6 @@ def _may_sign_certificates(certificate: Certificate) -> bool:
 def _issuer(certificate: Certificate) -> Fact:
     name = name_text(certificate.issuer)
     return Fact.of("issuer", name, "itself" if certificate.is_self_issued else name)
-
-
-def _alternative_key(certificate: Certificate) -> tuple[Fact, ...]:
-    alternative = certificate.alternative
-    if alternative is None or alternative.spki is None:
-        return (Fact.of("alternative key", None, "none"),)
-    return (_algorithms.key_fact("alternative key", alternative.spki),)
 
 
 def _stacks(certificate: Certificate, role: str) -> tuple[Fact, ...]:

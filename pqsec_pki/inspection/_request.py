@@ -13,7 +13,7 @@ def describe_request(der: bytes) -> Description:
     facts = (
         Fact.of("subject", request.subject_name),
         _algorithms.key_fact("key", request.spki),
-        *_alternative_key(request),
+        _algorithms.alternative_key_fact(request.alternative_spki),
         Fact.of("signature", signature),
         _proof(request),
         _extensions.extensions_fact("requests", request.extensions),
@@ -21,12 +21,6 @@ def describe_request(der: bytes) -> Description:
         Fact.of("SHA-256", request.fingerprint, key="sha256"),
     )
     return Description("certificate request", f"Request for {request.subject_name}", facts)
-
-
-def _alternative_key(request: CertificateRequest) -> tuple[Fact, ...]:
-    if request.alternative is None or request.alternative.spki is None:
-        return (Fact.of("alternative key", None, "none"),)
-    return (_algorithms.key_fact("alternative key", request.alternative.spki),)
 
 
 def _proof(request: CertificateRequest) -> Fact:

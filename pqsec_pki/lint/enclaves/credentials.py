@@ -211,5 +211,5 @@ def _expected(name: str) -> bytes | None:
 def _certified(certificate: Certificate) -> Iterator[tuple[str, bytes]]:
     if key_of(certificate):
         yield KEY, certificate.spki
-    if certificate.alternative and certificate.alternative.spki:
-        yield ALT_KEY, certificate.alternative.spki
+    if certificate.alternative_spki:
+        yield ALT_KEY, certificate.alternative_spki

@@ -132,7 +132,9 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
 )  # fmt: skip
 def no_participant_in_opendds(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
-        if rule.enable_join_access_control and not any(map(_is_half_open, rule.topic_rules)):
+        if rule.enable_join_access_control and not any(
+            each.is_half_open for each in rule.topic_rules
+        ):
             yield document.at(
                 rule.line, f"OpenDDS creates no participant on domains {rule.domains}:"
                 " joining and every topic have access control",
@@ -175,14 +177,10 @@ def opened_in_opendds(document: GovernanceFile) -> Iterator[Violation]:
     for rule in document.domain_rules:
         open_below = Patterns[TopicRule]()
         for topic in reversed(rule.topic_rules):
-            if _is_half_open(topic):
+            if topic.is_half_open:
                 open_below.add(topic.topic_expression, topic)
             elif wider := next(open_below.covering(topic.topic_expression), None):
                 yield document.at(
                     topic.line, f"{topic.topic_expression!a} is open in OpenDDS, because the later"
                     f" {wider.topic_expression!a} is open",
                 )  # fmt: skip
-
-
-def _is_half_open(topic: TopicRule) -> bool:
-    return not (topic.enable_read_access_control and topic.enable_write_access_control)

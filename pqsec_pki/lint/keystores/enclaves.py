@@ -163,8 +163,8 @@ def _own_keys(enclave: EnclaveFolder) -> Iterator[bytes]:
     certificate = enclave.certificate()
     if certificate:
         yield certificate.spki
-        if certificate.alternative and certificate.alternative.spki:
-            yield certificate.alternative.spki
+        if certificate.alternative_spki:
+            yield certificate.alternative_spki
 
 
 def _cas(inventory: Inventory, name: str, role: CertificateRole) -> Mapping[Path, Certificate]:

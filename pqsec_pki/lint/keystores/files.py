@@ -162,6 +162,6 @@ def _ca_keys(inventory: Inventory) -> Mapping[bytes | None, CertificateRole]:
         role = file.role
         if file.first and role is not CertificateRole.PARTICIPANT:
             found[file.first.spki] = role
-            if file.first.alternative and file.first.alternative.spki:
-                found[file.first.alternative.spki] = role
+            if file.first.alternative_spki:
+                found[file.first.alternative_spki] = role
     return found
