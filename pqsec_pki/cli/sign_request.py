@@ -1,7 +1,7 @@
 """pqsec sign-request: requests to CAs on an offline machine, and their answers."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
 from typing import Any
@@ -11,6 +11,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki._files import is_there
 from pqsec_pki.approvals import MAX_GRANT, RegistrationGrant, SignedGrant
+from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.cli import _approver, _bundles, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._participant_options import (
     TOPIC_NAMES,
@@ -102,25 +103,13 @@ def export(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if (grant is None) is not (key is None) or (role and not grant):
         raise UsageError("--grant and --key need each other, and --role needs both")
     found = _bundles.load_requests(requests)
-    names = []
-    for path, request in found:
-        with located(path):
-            request.verify()
-            name = name_asked_for(request)
-            if name is None:
-                raise VerificationError(NAMELESS)
-            names.append(name)
-    if len(set(names)) < len(names):
-        raise UsageError("two requests have the same name")
+    names = _names_in(found)
     csrs = tuple(each for _, each in found)
     if grant and key is not None:
-        limits, given = _grant(grant), _settings.given_options()
+        given = _settings.given_options()
         _refuse_rights(given)
-        signer = _approver.key_at(key, key_passphrase_file)
-        validity = wanted["validity"] if "validity" in given else limits.longest
-        asked = ordered(csrs, limits, signer, role, validity=validity, now=_settings.now())
-        if asked.order and (why := next(uncovered(asked.order.items, limits), None)):
-            raise UsageError(why)
+        validity = wanted["validity"] if "validity" in given else None
+        asked = _ordered(csrs, _grant(grant), key, key_passphrase_file, role, validity)
     else:
         specs = ParticipantOptions.of(**wanted).specs(tuple(names), DomainSet.parse(domains))
         asked = SignRequest(csrs, tuple(specs))
@@ -292,6 +281,38 @@ def import_(
     _printing.emit(value, [f"{each.name}  {each.path}{words[each.already]}" for each in found])
 
 
+def _names_in(requests: Sequence[tuple[Path, CertificateRequest]]) -> list[str]:
+    """The name that each request asks for. Each proves possession of its keys."""
+    names = []
+    for path, request in requests:
+        with located(path):
+            request.verify()
+            name = name_asked_for(request)
+            if name is None:
+                raise VerificationError(NAMELESS)
+            names.append(name)
+    if len(set(names)) < len(names):
+        raise UsageError("two requests have the same name")
+    return names
+
+
+def _ordered(  # noqa: PLR0913, PLR0917 -- the options of the command
+    requests: tuple[CertificateRequest, ...],
+    grant: RegistrationGrant,
+    key: str,
+    key_passphrase_file: Path | None,
+    role: str | None,
+    validity: timedelta | None,
+) -> SignRequest:
+    """These requests as an order with that grant; UsageError if the grant does not cover it."""
+    signer = _approver.key_at(key, key_passphrase_file)
+    length = grant.longest if validity is None else validity
+    asked = ordered(requests, grant, signer, role, validity=length, now=_settings.now())
+    if asked.order and (why := next(uncovered(asked.order.items, grant), None)):
+        raise UsageError(why)
+    return asked
+
+
 def _read(path: Path) -> SignRequest:
     data = _files.read(path, limit=MAX_ARCHIVE)
     with located(path):
@@ -357,10 +378,10 @@ def _show(asked: SignRequest, by: OrderedIssue | None) -> None:
         ]
         _printing.emit(value, lines)
         return
-    _show_wishes(asked)
+    _show_specs(asked)
 
 
-def _show_wishes(asked: SignRequest) -> None:
+def _show_specs(asked: SignRequest) -> None:
     rows = [
         (
             spec.name,

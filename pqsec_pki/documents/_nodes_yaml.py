@@ -49,11 +49,7 @@ def node(item: Item) -> Endpoints:
     )
     place, written = given["node"]
     name = build(place, _node_name, written=written, namespace=given.get("namespace", "/"))
-    parts = [*_whole(name, given), *_uses(name, given)]
-    return Endpoints(
-        publish=tuple(topic for part in parts for topic in part.publish),
-        subscribe=tuple(topic for part in parts for topic in part.subscribe),
-    )
+    return Endpoints.joined([*_whole(name, given), *_uses(name, given)])
 
 
 def _with_line(item: Item) -> tuple[Item, str]:

@@ -72,6 +72,15 @@ class Endpoints(NamedTuple):
     publish: tuple[str, ...]
     subscribe: tuple[str, ...]
 
+    @classmethod
+    def joined(cls, parts: "Iterable[Endpoints]") -> "Endpoints":
+        """The topics of all these."""
+        each = list(parts)
+        return cls(
+            publish=tuple(topic for part in each for topic in part.publish),
+            subscribe=tuple(topic for part in each for topic in part.subscribe),
+        )
+
 
 def resolve(name: str, node: str) -> str:
     """The full name of `name` as the node `node`, a full name, resolves it.
@@ -141,21 +150,21 @@ def topic_subscriber(name: str) -> Endpoints:
 def parameter_client(node_name: str) -> Endpoints:
     """The topics of a node that reads and sets the parameters of the node `node_name`."""
     inside = [f"{_checked(node_name)}/{service}" for service in _PARAMETER_SERVICES]
-    return _joined(map(service_client, inside))
+    return Endpoints.joined(map(service_client, inside))
 
 
 def lifecycle_node(node_name: str) -> Endpoints:
     """The topics that a managed (lifecycle) node needs besides `node_minimum`."""
     services = [f"{_checked(node_name)}/{service}" for service in _LIFECYCLE_SERVICES]
     event = topic_publisher(f"{node_name}/transition_event")
-    return _joined([*map(service_server, services), event])
+    return Endpoints.joined([*map(service_server, services), event])
 
 
 def lifecycle_client(node_name: str) -> Endpoints:
     """The topics of a node that manages the lifecycle node `node_name`."""
     services = [f"{_checked(node_name)}/{service}" for service in _LIFECYCLE_SERVICES]
     event = topic_subscriber(f"{node_name}/transition_event")
-    return _joined([*map(service_client, services), event])
+    return Endpoints.joined([*map(service_client, services), event])
 
 
 def simulated_time() -> Endpoints:
@@ -242,14 +251,6 @@ def _action(name: str) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...
         tuple(map(service_request, services)),
         tuple(map(service_reply, services)),
         tuple(topic(inside + part) for part in ACTION_TOPICS),
-    )
-
-
-def _joined(parts: Iterable[Endpoints]) -> Endpoints:
-    each = list(parts)
-    return Endpoints(
-        publish=tuple(topic for part in each for topic in part.publish),
-        subscribe=tuple(topic for part in each for topic in part.subscribe),
     )
 
 

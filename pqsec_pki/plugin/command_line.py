@@ -12,7 +12,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.calls import CONTROL
 from pqsec_pki.plugin.connection import GREETED, AgentContext, Connection
 from pqsec_pki.plugin.incoming import IncomingConnection
-from pqsec_pki.plugin.worker import AT_ONCE, OpenConnection
+from pqsec_pki.plugin.worker import OpenConnection
 from pqsec_pki.plugin.workers import Workers
 
 _ANSWER_SECONDS = 1.0
@@ -67,12 +67,7 @@ class CommandLine:
 
     def _attend(self, client: OpenConnection, events: int) -> None:
         try:
-            if events & selectors.EVENT_READ:
-                octets = client.link.recv(AT_ONCE)
-                if not octets:
-                    raise ConnectionResetError
-                client.connection.hear(octets)
-            client.flush()
+            client.exchange(events)
             if not client.outbox and client.connection.waits:
                 self._workers.ask()
                 self._clients[client] = time.monotonic() + _ANSWER_SECONDS

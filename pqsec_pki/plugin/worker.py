@@ -25,7 +25,7 @@ from pqsec_pki.plugin.octets import MessageReader
 from pqsec_pki.plugin.shared_lists import exchange_through
 from pqsec_pki.plugin.system import give_back
 
-AT_ONCE = 1 << 18
+_AT_ONCE = 1 << 18
 """Octets that are read from one connection in its turn."""
 FAIR = 8
 """Other calls before one of a handshake, so that no process can block handshakes."""
@@ -45,6 +45,15 @@ class OpenConnection:
     outbox: bytearray = field(default_factory=bytearray)
     events: int = 0
     """The events that the selector watches its socket for."""
+
+    def exchange(self, events: int) -> None:
+        """Keep what came, and send what fits. OSError if the other end has gone."""
+        if events & selectors.EVENT_READ:
+            octets = self.link.recv(_AT_ONCE)
+            if not octets:
+                raise ConnectionResetError
+            self.connection.hear(octets)
+        self.flush()
 
     def flush(self) -> None:
         """Send what fits. OSError if the other end has gone."""
@@ -136,12 +145,7 @@ class AgentWorker:
 
     def _attend(self, client: OpenConnection, events: int) -> None:
         try:
-            if events & selectors.EVENT_READ:
-                octets = client.link.recv(AT_ONCE)
-                if not octets:
-                    raise ConnectionResetError
-                client.connection.hear(octets)
-            client.flush()
+            client.exchange(events)
             self._queue(client)
         except BlockingIOError:
             pass

@@ -7,13 +7,13 @@ domain file: a request only says which participant asks, and for which keys.
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import field, replace
-from datetime import datetime, timedelta
+from datetime import datetime
 from functools import cache, cached_property
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
-from pqsec_pki.certificates import Certificate, CertificateRequest
+from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain import Desired, Member, has_rights
 from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.errors import MalformedError, VerificationError
@@ -30,34 +30,27 @@ from pqsec_pki.keystore import (
     policy_of,
 )
 from pqsec_pki.lifecycle import PublicKeys
-from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.call import SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.deciding import REFUSAL, decision_on, demanded, end_of, is_late
-from pqsec_pki.server.factories import Factory, factory_of
+from pqsec_pki.server.factories import Factory
+from pqsec_pki.server.identifying import APPROVED, NEW_TOKEN, Requesters
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester, refuse_many
 from pqsec_pki.server.token_lines import (
     ADMISSION,
     admission_entry,
-    by_token,
-    presented,
     request_of,
 )
 from pqsec_pki.server.waiting import WaitingRequests
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
-_APPROVED = "approval"
-"""The name of an admission by somebody who approved the request."""
 _ORDERED = "an order"
 """The name of an admission by an order of a registration authority."""
-_DEVICE = "device"
-"""The begin of the name of an admission by a factory's certificate."""
 _BY_ORDER = "is enrolled by a registration authority's order, and no order has this request"
 _OTHER_RIGHTS = (
     "was enrolled by an order with other rights than the domain file has:"
     " `pqsec apply` gives it those"
 )
-_NEW_KEY = "make a new one for it"
-_NEW_TOKEN = "it needs a new enrolment token"  # noqa: S105 -- words
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -78,7 +71,7 @@ class Admission:
 
     def of(self, call: SignerCall) -> Admitted:
         """The request that may be answered; NotAdmittedError if it may not."""
-        holder = self._holder(call)
+        holder = self.requesters.of(call)
         request = _request_in(call.body)
         name = name_asked_for(request)
         ordered = name is not None and self._was_ordered(name, request)
@@ -93,7 +86,7 @@ class Admission:
         if ordered:
             return Admitted(name, _ORDERED)
         if holder.device:
-            holder = self._identified(holder.device, member, request, call)
+            holder = self.requesters.device(holder.device, member, request, call)
         if self._was_answered(name, request, holder):
             return Admitted(name, holder.by)
         if member.by_order and (held is None or self._by_plan):
@@ -104,7 +97,7 @@ class Admission:
         self._refuse_state(held, holder, hashes)
         self._refuse_wider(held, holder, member)
         planned = self._by_plan and request.fingerprint in self._requests_of(name)[-1:]
-        if holder.by == _APPROVED or (self._by_plan and not planned):
+        if holder.by == APPROVED or (self._by_plan and not planned):
             self._refuse_undecided(request, name, call, planned=planned)
         if holder.certificate or holder.device:  # these admit without a limit of uses
             refuse_many(
@@ -147,54 +140,6 @@ class Admission:
             )
         self.taken.update((name, holder.by))
 
-    def holder_of(self, call: SignerCall) -> Requester:
-        """The participant whose certificate the client showed.
-
-        NotAdmittedError if it showed none, or one that is not valid.
-        """
-        if not call.certificate:
-            raise without_certificate()
-        return self._of_certificate(Certificate.from_der(call.certificate))
-
-    def _holder(self, call: SignerCall) -> Requester:
-        if call.token and call.kind is not CallKind.REENROL:
-            return self._of_token(call)
-        if call.certificate:
-            shown = Certificate.from_der(call.certificate)
-            if self.factories and call.kind is not CallKind.REENROL and not self._is_ours(shown):
-                return Requester("", _DEVICE, device=shown)
-            return self._of_certificate(shown, self.policy.renew_expired)
-        if call.kind is CallKind.REENROL:
-            raise NotAdmittedError(401, "show the current certificate as client certificate")
-        return Requester("", _APPROVED if self.policy.approval else "")
-
-    def _of_token(self, call: SignerCall) -> Requester:
-        found = presented(self.ledger, call.token, call.secret)
-        if found is None:
-            raise NotAdmittedError(401, "this enrolment token is not known here")
-        if found.revoked:
-            raise NotAdmittedError(401, "the enrolment token was revoked")
-        return Requester("", by_token(found.id), token=found)
-
-    def _is_ours(self, certificate: Certificate) -> bool:
-        """Whether it is of a participant, by the ledger: it knows each that was issued."""
-        lines = self._lines("participant", certificate.common_name or "")
-        return any(each.sha256 == certificate.fingerprint for each in lines)
-
-    def _identified(
-        self, shown: Certificate, member: Member, request: CertificateRequest, call: SignerCall
-    ) -> Requester:
-        """The device that the domain file has for the participant; NotAdmittedError."""
-        factory = factory_of(member, shown, self.factories)
-        if request.spki == shown.spki:
-            raise NotAdmittedError(403, f"the request is for the factory's key: {_NEW_KEY}")
-        try:
-            factory.verify(shown, call.chain, self.now)
-        except VerificationError as error:
-            raise NotAdmittedError(403, f"the factory certificate is refused: {error}") from None
-        by = f"{_DEVICE} {member.device}"
-        return Requester("", by, device=shown, again=factory.again)
-
     def _refuse_used(self, holder: Requester, name: str) -> None:
         """NotAdmittedError if its token, or its line of the inventory, was used."""
         holder.refuse_used(self.now)
@@ -202,29 +147,7 @@ class Admission:
             return
         lines = self._lines(ADMISSION, holder.by)
         if any(each.details.get("participant") == name for each in lines):
-            raise NotAdmittedError(403, f"the device has enrolled as {name} before: {_NEW_TOKEN}")
-
-    def _of_certificate(
-        self, certificate: Certificate, expired: timedelta = timedelta()
-    ) -> Requester:
-        """The participant, by the ledger, with a certificate that ended at most `expired` ago.
-
-        NotAdmittedError for a certificate that is not valid, or was revoked.
-        """
-        name = certificate.common_name or ""
-        if not self._is_ours(certificate):
-            raise NotAdmittedError(403, "the client certificate was not issued here")
-        revoked = self._lines("revocation", name)
-        if any(each.sha256 == certificate.fingerprint for each in revoked):
-            raise NotAdmittedError(403, "the client certificate was revoked")
-        if self.now < certificate.not_before:
-            began = said(certificate.not_before)
-            raise NotAdmittedError(403, f"its certificate is not valid before {began}")
-        if self.now - certificate.not_after > expired:
-            raise NotAdmittedError(403, f"its certificate expired: {_NEW_TOKEN}")
-        return Requester(
-            name, f"certificate {certificate.serial_number:x}", certificate=certificate
-        )
+            raise NotAdmittedError(403, f"the device has enrolled as {name} before: {NEW_TOKEN}")
 
     def _member(self, name: str, label: str) -> Member:
         """The participant; NotAdmittedError if it cannot be requested over the network."""
@@ -242,6 +165,11 @@ class Admission:
                 " `request`",
             )
         return member
+
+    @cached_property
+    def requesters(self) -> Requesters:
+        """Finds who asks."""
+        return Requesters(self.ledger, self._lines, self.policy, self.factories, self.now)
 
     @cached_property
     def _lines(self) -> Callable[[str, str], list[Entry]]:
@@ -304,7 +232,7 @@ class Admission:
         """NotAdmittedError if this participant may not have a new certificate now."""
         if held is None:
             return
-        if holder.by == _APPROVED:
+        if holder.by == APPROVED:
             return  # who approved it saw that it replaces a certificate
         if holder.device is not None:
             if not holder.again and held.keys != keys:
@@ -334,18 +262,11 @@ class Admission:
 
         A token for new keys, an approval and a listed device are decisions of the keystore's users.
         """
-        decided = (
-            holder.by == _APPROVED or holder.device or (holder.token and holder.token.replaces)
-        )
+        decided = holder.by == APPROVED or holder.device or (holder.token and holder.token.replaces)
         if held is None or decided or not self._ordered(held.name):
             return
         if not has_rights(self.keystore, member, held, now=self.now):
             raise NotAdmittedError(403, f"{held.name} {_OTHER_RIGHTS}")
-
-
-def without_certificate() -> NotAdmittedError:
-    """The refusal of a client without a certificate."""
-    return NotAdmittedError(401, "show the participant's certificate as client certificate")
 
 
 def _ended(status: int, words: str) -> NotAdmittedError:

@@ -4,20 +4,17 @@ Requests that came at the same time are issued in one change of the keystore. An
 from what the keystore has then, so the answer to a repeated request is the same.
 """
 
-import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime, timedelta
 from functools import cached_property
-from http import HTTPStatus
 from pathlib import Path
-from typing import TypeVar
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import exists, read
+from pqsec_pki._files import exists
 from pqsec_pki.domain import Desired
 from pqsec_pki.enrolment import Bundle
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, shown
+from pqsec_pki.errors import PqsecError
 from pqsec_pki.est import (
     BUNDLE_TYPE,
     CSRATTRS,
@@ -40,22 +37,26 @@ from pqsec_pki.keystore import (
     load_certificate,
 )
 from pqsec_pki.lifecycle import fetch_files, issue
-from pqsec_pki.server.admission import Admission, without_certificate
+from pqsec_pki.server.admission import Admission
+from pqsec_pki.server.answers import (
+    decided,
+    failed,
+    file_in,
+    guarded,
+    misdirected,
+    refused,
+    unavailable,
+)
 from pqsec_pki.server.call import CallKind, SignerAnswer, SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.factories import Factory
+from pqsec_pki.server.identifying import without_certificate
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.receipt_taking import take_receipts
-from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
+from pqsec_pki.server.requester import Admitted, Requester
 from pqsec_pki.server.token_lines import request_of
 from pqsec_pki.server.waiting import WaitingRequests
 from pqsec_pki.transparency import MerkleTree
-
-NOT_DONE = "the server could not do it: its log says why"
-
-_LONGEST = 1000
-"""Characters of an error for a client, which is also in the log."""
-Decision = TypeVar("Decision")
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -100,14 +101,14 @@ class CallHandler:
             if each.kind.issues
             else self._for_holder(each, next(holders))
             if each.kind in self._of_holders
-            else _guarded(self._by_kind[each.kind])
+            else guarded(self._by_kind[each.kind])
             for each in calls
         ]
 
     def _for_holder(self, call: SignerCall, holder: Requester | SignerAnswer) -> SignerAnswer:
         if isinstance(holder, SignerAnswer):
             return holder
-        return _guarded(lambda: self._of_holders[call.kind](holder.name, call.body))
+        return guarded(lambda: self._of_holders[call.kind](holder.name, call.body))
 
     @cached_property
     def _by_kind(self) -> dict[CallKind, Callable[[], SignerAnswer]]:
@@ -128,13 +129,13 @@ class CallHandler:
         """The holder of a valid certificate for each call, or the refusal; the ledger is read once
         for all."""
         if not any(each.certificate for each in calls):
-            return [_refused(without_certificate())] * len(calls)
+            return [refused(without_certificate())] * len(calls)
         try:
             with self.keystore.open_ledger() as ledger:
                 deciding = self._admission(ledger)
-                return [_decided(deciding.holder_of, each) for each in calls]
+                return [decided(deciding.requesters.holder_of, each) for each in calls]
         except PqsecError as error:
-            return [_failed(error)] * len(calls)
+            return [failed(error)] * len(calls)
 
     # What issues
 
@@ -146,14 +147,14 @@ class CallHandler:
                 try:
                     self.seen.refuse_less(self.keystore.root, ledger)
                 except PqsecError as error:
-                    return [_unavailable(error)] * len(calls)
+                    return [unavailable(error)] * len(calls)
                 deciding = self._admission(ledger)
-                decided = [_decided(deciding.of, each) for each in calls]
-                admitted = [each for each in decided if isinstance(each, Admitted)]
+                found = [decided(deciding.of, each) for each in calls]
+                admitted = [each for each in found if isinstance(each, Admitted)]
                 again = [each.name for each in admitted if not each.spec]
                 elsewhere = self._fetched(ledger, again)
             if not admitted:
-                return [each for each in decided if isinstance(each, SignerAnswer)]
+                return [each for each in found if isinstance(each, SignerAnswer)]
             self._record(admitted)
             failures = self._issue([each for each in admitted if each.spec])
             done = [each for each in admitted if each.line and each.name not in failures]
@@ -164,8 +165,8 @@ class CallHandler:
                     if isinstance(each, SignerAnswer)
                     else self._answered(call, each, failures, numbers)
                     if each.spec or each.name not in elsewhere
-                    else _refused(_misdirected(each.name))
-                    for call, each in zip(calls, decided, strict=True)
+                    else refused(misdirected(each.name))
+                    for call, each in zip(calls, found, strict=True)
                 ]
 
     def _admission(self, ledger: Ledger) -> Admission:
@@ -216,11 +217,11 @@ class CallHandler:
         numbers: BundleNumbers,
     ) -> SignerAnswer:
         if admitted.spec and (error := failures.get(admitted.name)):
-            return _failed(error)
+            return failed(error)
         note = f"{admitted.name} by {admitted.by}{'' if admitted.spec else ', again'}"
         if call.kind is CallKind.REQUEST:
-            return _guarded(lambda: self._bundle(admitted.name, numbers, note))
-        return _guarded(lambda: self._certificate(admitted.name, note))
+            return guarded(lambda: self._bundle(admitted.name, numbers, note))
+        return guarded(lambda: self._certificate(admitted.name, note))
 
     def _certificate(self, name: str, note: str) -> SignerAnswer:
         body = to_base64(certs_only([load_certificate(self._certificate_path(name))]))
@@ -256,7 +257,7 @@ class CallHandler:
             elsewhere = self._fetched(ledger, [name])
             newest = ledger.of_name("participant", name)[-1].sha256
         if elsewhere or self._here(name) != newest:
-            raise _misdirected(name)
+            raise misdirected(name)
         with BundleNumbers.of(self.keystore, self.tree) as numbers:
             return self._bundle(name, numbers)
 
@@ -283,76 +284,12 @@ class CallHandler:
 
     def _revocation_list(self) -> SignerAnswer:
         self._fetch_shared()
-        return _file(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
+        return file_in(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
 
     def _head(self) -> SignerAnswer:
         path = self.keystore.root / layout.PUBLIC / layout.TREE_HEAD
-        return _file(path, TEXT, "there is no signed head of the ledger")
+        return file_in(path, TEXT, "there is no signed head of the ledger")
 
     def _receipt(self, name: str, body: bytes) -> SignerAnswer:
         take_receipts(self.keystore, name, body, now=self.clock())
         return SignerAnswer(status=204, note=f"receipt, sent by {name}")
-
-
-def _decided(decide: Callable[[SignerCall], Decision], call: SignerCall) -> Decision | SignerAnswer:
-    """The decision about the call, or the answer that refuses it."""
-    found: list[Decision] = []
-
-    def ask() -> SignerAnswer:
-        found.append(decide(call))
-        return SignerAnswer(status=200)
-
-    refused = _guarded(ask)
-    return found[0] if found else refused
-
-
-def _guarded(answer: Callable[[], SignerAnswer]) -> SignerAnswer:
-    """The answer; for an error the answer that says so, without anything of this machine."""
-    try:
-        return answer()
-    except NotAdmittedError as error:
-        return _refused(error)
-    except (MalformedError, VerificationError) as error:
-        detail = shown(str(error), _LONGEST)
-        return SignerAnswer(status=HTTPStatus.BAD_REQUEST, detail=detail)
-    except PqsecError as error:
-        return _failed(error)
-
-
-def _refused(error: NotAdmittedError) -> SignerAnswer:
-    return SignerAnswer(
-        status=error.status,
-        detail=str(error),
-        problem=error.problem,
-        retry_after=error.retry_after,
-    )
-
-
-def _misdirected(name: str) -> NotAdmittedError:
-    """The refusal of what only another server with the same ledger can answer."""
-    return NotAdmittedError(
-        HTTPStatus.MISDIRECTED_REQUEST,
-        f"this server does not have the newest files of {name}: ask another",
-    )
-
-
-def _failed(error: PqsecError) -> SignerAnswer:
-    """The answer for what a CA refuses, or could not do; only the first is the client's."""
-    if isinstance(error, VerificationError):
-        return SignerAnswer(status=HTTPStatus.FORBIDDEN, detail=str(error))
-    return SignerAnswer(status=HTTPStatus.INTERNAL_SERVER_ERROR, detail=NOT_DONE, note=str(error))
-
-
-def _unavailable(error: PqsecError) -> SignerAnswer:
-    """The answer until somebody has repaired the keystore."""
-    return SignerAnswer(
-        status=HTTPStatus.SERVICE_UNAVAILABLE, detail=NOT_DONE, retry_after=60, note=str(error)
-    )
-
-
-def _file(path: Path, media_type: str, otherwise: str) -> SignerAnswer:
-    if not exists(path):
-        raise NotAdmittedError(404, otherwise)
-    data = read(path)
-    etag = f'"{hashlib.sha256(data).hexdigest()}"'
-    return SignerAnswer(status=200, body=data, media_type=media_type, etag=etag)

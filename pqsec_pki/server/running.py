@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import FileVersion, noted
@@ -60,26 +61,7 @@ def _answer(
     It reports to systemd that the service is ready when the front listens too.
     """
     keystore = Keystore.open(settings.keystore, to_change=True)
-    authorities, ledger = unlock(keystore), SeenLedger()
-
-    def load(seen: dict[Path, FileVersion]) -> CallHandler:
-        found = read_settings(settings.path)
-        opened = Keystore.open(settings.keystore, to_change=True)
-        cas = opened.anchors.identity_cas
-        with noted(seen):
-            desired, factories = read_domain(found.domain), read_factories(found.factories, cas)
-            waiting = found.waiting(opened)  # elsewhere if the ledger is moved
-        return CallHandler(
-            keystore=opened,
-            authorities=authorities,
-            desired=desired,
-            clock=clock,
-            waiting=waiting,
-            policy=found.policy,
-            factories=factories,
-            revocation_list=found.revocation_list,
-            seen=ledger,
-        )
+    load = partial(_handler, settings, unlock(keystore), SeenLedger(), clock)
 
     def ready() -> bool:
         if listens := front_listens():
@@ -93,6 +75,33 @@ def _answer(
         SignerProcess(listener, load, users, log, pass_on, ready).run()
     with suppress(OSError):
         settings.socket.unlink()
+
+
+def _handler(
+    settings: ServerSettings,
+    authorities: Authorities,
+    ledger: SeenLedger,
+    clock: Callable[[], datetime],
+    seen: dict[Path, FileVersion],
+) -> CallHandler:
+    """The handler of calls by the files as they are now, whose versions go into `seen`."""
+    found = read_settings(settings.path)
+    keystore = Keystore.open(settings.keystore, to_change=True)
+    cas = keystore.anchors.identity_cas
+    with noted(seen):
+        desired, factories = read_domain(found.domain), read_factories(found.factories, cas)
+        waiting = found.waiting(keystore)  # elsewhere if the ledger is moved
+    return CallHandler(
+        keystore=keystore,
+        authorities=authorities,
+        desired=desired,
+        clock=clock,
+        waiting=waiting,
+        policy=found.policy,
+        factories=factories,
+        revocation_list=found.revocation_list,
+        seen=ledger,
+    )
 
 
 def stay() -> None:

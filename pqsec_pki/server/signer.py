@@ -20,8 +20,9 @@ from types import FrameType
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import FileVersion, disk_errors, file_version
 from pqsec_pki.errors import FileError, MalformedError, PqsecError, UsageError
+from pqsec_pki.server.answers import NOT_DONE
 from pqsec_pki.server.call import SignerAnswer, SignerCall, unpacked
-from pqsec_pki.server.call_handling import NOT_DONE, CallHandler
+from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.events import Log
 
 MOST = 64

@@ -31,8 +31,8 @@ ROOMS = (
 )  # fmt: skip
 PARTS = {
     "server": (
-        "admission", "deciding", "proxy_header", "receipt_taking", "requester", "token_lines",
-        "waiting",
+        "admission", "deciding", "identifying", "proxy_header", "receipt_taking", "requester",
+        "token_lines", "waiting",
     )
 }  # fmt: skip
 """Of these rooms only these modules, which decide who is admitted, and whose limits count."""
