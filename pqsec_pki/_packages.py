@@ -51,7 +51,7 @@ def the_only(entries: list[EntryPoint], what: str) -> EntryPoint:
 
 
 @contextmanager
-def blamed(words: str, *passing: type[Exception]) -> Iterator[None]:
+def foreign_errors(words: str, *passing: type[Exception]) -> Iterator[None]:
     """Any error within, also the end of the process, is ForeignPackageError with `words`.
 
     Those of the classes `passing` pass.

@@ -92,6 +92,22 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
         return ()
     asked = samples(members, topics, asked)
     matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
+    found = _rows_of(matrix, asked, apart)
+    nobody: _Rows = {((), ()): tuple(map(apart.index, governed))}
+    sets: dict[tuple[int, ...], DomainSet] = {}
+    for where in {where for rows in (*found.values(), nobody) for where in rows.values()}:
+        sets[where] = domain_set([apart[number] for number in where])
+    return tuple(
+        Placed(row=_row(topic, asked[topic], who), domains=sets[where])
+        for topic, rows in found.items()
+        for who, where in (rows or nobody).items()
+    )
+
+
+def _rows_of(
+    matrix: Matrix, asked: Mapping[str, str | None], apart: Sequence[DomainRange]
+) -> dict[str, _Rows]:
+    """The rows of each topic, which the matrix knows by the sample in `asked`."""
     of_sample: dict[str | None, list[str]] = {}
     for topic, name in asked.items():
         of_sample.setdefault(name, []).append(topic)
@@ -102,15 +118,7 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
             who = users.of(name)
             for topic in of_sample[name]:
                 found[topic][who] = (*found[topic].get(who, ()), number)
-    nobody: _Rows = {((), ()): tuple(map(apart.index, governed))}
-    sets: dict[tuple[int, ...], DomainSet] = {}
-    for where in {where for rows in (*found.values(), nobody) for where in rows.values()}:
-        sets[where] = domain_set([apart[number] for number in where])
-    return tuple(
-        Placed(row=_row(topic, asked[topic], who), domains=sets[where])
-        for topic, rows in found.items()
-        for who, where in (rows or nobody).items()
-    )
+    return found
 
 
 def _row(topic: str, asked: str | None, who: _Users) -> TopicRow:

@@ -7,7 +7,7 @@ from importlib.metadata import EntryPoint
 from typing import Any, get_args, get_origin
 
 from pqsec_pki._asn1 import Oid
-from pqsec_pki._packages import blamed, fault, package_of
+from pqsec_pki._packages import fault, foreign_errors, package_of
 from pqsec_pki.errors import shown
 
 _OWN = ("name", "wire_name", "token_name", "key_oid", "identifier")
@@ -30,7 +30,7 @@ def load(entry: EntryPoint, row_type: type[Any], known: Iterable[Any]) -> Any:
     of other types, or shares a name with a known row.
     """
     words = f"the package {package_of(entry)} cannot add {entry.name!r}"
-    with blamed(words):
+    with foreign_errors(words):
         row = entry.load()
         wrong = next(_faults(entry, row, row_type, known), None)
     if wrong:

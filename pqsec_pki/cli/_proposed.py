@@ -152,7 +152,7 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
         case "sign-request sign":
             asked = SignRequest.from_bytes(_files.read(params["file"], limit=MAX_ARCHIVE))
             yield from _certified(asked.requests)
-            yield from _wished(asked, now)
+            yield from _requested_rights(asked, now)
         case _:
             yield from _of_file(name, params, keystore)
 
@@ -205,8 +205,8 @@ def _granted(grants: Iterable[Grant]) -> Iterator[ChangedRights]:
         yield ChangedRights((shown(grant.name),), tuple(words))
 
 
-def _wished(asked: SignRequest, now: datetime) -> Iterator[ChangedRights]:
-    """What each participant of a sign request gets: what it wishes, or the role of an order."""
+def _requested_rights(asked: SignRequest, now: datetime) -> Iterator[ChangedRights]:
+    """What each participant of a sign request gets: what it asks for, or the role of an order."""
     for spec in asked.specs:
         yield _change(spec.name, f"a certificate that is valid for {days(spec.validity)}")
     if order := asked.order:

@@ -66,7 +66,7 @@ class SignRequest:
         if ORDER in archive.files:
             order = EnrolmentOrder.from_file(archive.files[ORDER])
         try:
-            specs = tuple(map(_ordered, order.items) if order else _wished(archive))
+            specs = tuple(map(_ordered, order.items) if order else _specs_in(archive))
             pems = [archive.files[_request_file(spec.name)] for spec in specs]
         except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
             raise MalformedError(f"the {REQUEST_KIND} cannot be read: {error}") from error
@@ -112,7 +112,7 @@ class SignRequest:
         )
 
 
-def _wished(archive: Archive) -> Iterator[ParticipantSpec]:
+def _specs_in(archive: Archive) -> Iterator[ParticipantSpec]:
     """What is asked for; errors as of `read_spec`, and KeyError."""
     for each in archive.about["wishes"]:
         yield read_spec(each, archive.files)

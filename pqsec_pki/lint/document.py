@@ -19,7 +19,6 @@ from pqsec_pki.errors import InvalidDocumentError, PqsecError
 from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.rule import Violation
 from pqsec_pki.problems import Problem
-from pqsec_pki.smime import lines_before_document
 
 ACTIONS = ("publish", "subscribe", "relay")
 """What a rule of permissions allows or denies."""
@@ -102,7 +101,7 @@ class Document(Content):
         """How many lines of the file are before the document."""
         if not self.file.is_signed or self.text is None:
             return 0
-        return lines_before_document(self.file.signed)
+        return self.file.signed.lines_before
 
     def line(self, line: int | None) -> int | None:
         """The line in the file for a line in the document."""

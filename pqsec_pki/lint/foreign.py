@@ -11,7 +11,7 @@ from functools import partial
 from importlib.metadata import EntryPoint
 from typing import Any
 
-from pqsec_pki._packages import blamed, offered, package_of
+from pqsec_pki._packages import foreign_errors, offered, package_of
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint import rule
 from pqsec_pki.lint.rule import Rule, Violation
@@ -24,7 +24,7 @@ def load_foreign_rules() -> None:
     """Add their rules to `rule.RULES`; ForeignPackageError for a package that cannot."""
     for entry in offered(GROUP):
         known, package = dict(rule.RULES), package_of(entry)
-        with blamed(f"the package {package} cannot add rules"):
+        with foreign_errors(f"the package {package} cannot add rules"):
             entry.load()
             added = {id_: each for id_, each in rule.RULES.items() if known.get(id_) is not each}
             _refuse(next(_faults(entry, added), None))
@@ -51,7 +51,7 @@ def _faults(entry: EntryPoint, added: dict[str, Rule]) -> Iterator[str]:
 
 def _guarded(package: str, wrapped: Rule, subject: Any) -> Iterable[Violation]:
     """The rule's findings. Its failure ends the check: it must not look like no finding."""
-    with blamed(f"rule {wrapped.id} of the package {package} failed", PqsecError):
+    with foreign_errors(f"rule {wrapped.id} of the package {package} failed", PqsecError):
         found: list[Any] = list(wrapped.check(subject))
         wrong = (each for each in found if not isinstance(each, Violation))
         _refuse(next((f"a {type(each).__name__} is not a Violation" for each in wrong), None))

@@ -91,27 +91,27 @@ class AgentWorker:
         self._first: deque[OpenConnection] = deque()
         self._handshakes: deque[OpenConnection] = deque()
         self._since_handshake = 0
-        self._parted = self._ended = False
-        self._told = time.monotonic()
+        self._has_closed = self._ended = False
+        self._reported_at = time.monotonic()
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> None:
         """Return when the agent closes its end."""
-        self._selector.register(self._orders, selectors.EVENT_READ, self._ordered)
+        self._selector.register(self._orders, selectors.EVENT_READ, self._read_order)
         while not self._ended:
             busy = bool(self._first or self._handshakes)
             for key, events in self._selector.select(0 if busy else None):
                 key.data(events)
             if client := self._next():
                 self._serve(client)
-            self._tell()
-            if self._parted and not (self._first or self._handshakes):
-                self._parted = False
+            self._report_working()
+            if self._has_closed and not (self._first or self._handshakes):
+                self._has_closed = False
                 give_back()
         for client in list(self._clients.values()):
-            self._part(client)
+            self._close(client)
 
-    def _ordered(self, _: int) -> None:
+    def _read_order(self, _: int) -> None:
         """Read a message of the agent: a new connection, or the question for the objects."""
         found = channel.take(self._orders)
         if found is None:
@@ -121,11 +121,11 @@ class AgentWorker:
         if reader.text() != channel.SERVE:
             self._count()
         elif handle is not None:
-            self._welcome(reader, handle)
+            self._accept(reader, handle)
         else:  # the system had no file left for it
             self._say_gone(reader.number("I"))
 
-    def _welcome(self, reader: MessageReader, handle: int) -> None:
+    def _accept(self, reader: MessageReader, handle: int) -> None:
         number, plugin, who = reader.number("I"), reader.text(), reader.text()
         link = socket.socket(fileno=handle)
         link.settimeout(0)
@@ -182,12 +182,12 @@ class AgentWorker:
         except (OSError, PqsecError) as error:
             self._lost(client, error)
 
-    def _tell(self) -> None:
+    def _report_working(self) -> None:
         """Tell the processes whose calls wait that the worker works."""
         now = time.monotonic()
-        if now < self._told + TELL_SECONDS:
+        if now < self._reported_at + TELL_SECONDS:
             return
-        self._told = now
+        self._reported_at = now
         for client in (*self._first, *self._handshakes):
             with suppress(OSError):  # its turn will show the error
                 client.link.send(WORKING)
@@ -195,7 +195,7 @@ class AgentWorker:
     def _lost(self, client: OpenConnection, error: Exception) -> None:
         if not isinstance(error, ConnectionError):  # closing a connection is not an error
             self._notes.add(f"{client.connection.what[0]}: {error}")
-        self._part(client)
+        self._close(client)
         self._say_gone(client.number)
 
     def _say_gone(self, number: int) -> None:
@@ -204,7 +204,7 @@ class AgentWorker:
         with suppress(OSError):  # the agent has ended
             channel.put(self._orders, gone)
 
-    def _part(self, client: OpenConnection) -> None:
+    def _close(self, client: OpenConnection) -> None:
         del self._clients[client.number]
-        self._parted = True
+        self._has_closed = True
         client.close(self._selector)

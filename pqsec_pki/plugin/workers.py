@@ -194,11 +194,11 @@ class Workers:
         lists.settimeout(0)
         worker = WorkerProcess(process, ours, lists)
         self._workers.append(worker)
-        self._selector.register(ours, selectors.EVENT_READ, lambda _: self._told(worker))
+        self._selector.register(ours, selectors.EVENT_READ, lambda _: self._read(worker))
         self._selector.register(lists, selectors.EVENT_READ, lambda _: self._shown(worker))
         return worker
 
-    def _told(self, worker: WorkerProcess) -> None:
+    def _read(self, worker: WorkerProcess) -> None:
         found = channel.take(worker.orders)
         if found is None:
             self._lost(worker)

@@ -20,7 +20,7 @@ from pqsec_pki.documents import (
 )
 from pqsec_pki.errors import UsageError, VerificationError, located
 from pqsec_pki.problems import Code
-from pqsec_pki.smime import SignedFile, Verified, document_in, is_signed, lines_before_document
+from pqsec_pki.smime import SignedFile, Verified, document_in, is_signed
 
 Value = TypeVar("Value", Governance, Permissions)
 Check: TypeAlias = Callable[[bytes], Verified]
@@ -130,12 +130,9 @@ def _loaded(
 ) -> Loaded[Value]:
     with located(path):
         if is_signed(data):
-            if check:
-                found = check(data)
-                return Loaded(path, from_xml(found.document), True, True, found.lines_before)  # noqa: FBT003 -- fields
-            file = SignedFile(data)
-            xml, before = document_in(file), lines_before_document(file)
-            return Loaded(path, from_xml(xml), True, False, before)  # noqa: FBT003 -- fields
+            found = check(data) if check else SignedFile(data)
+            value = from_xml(found.document)
+            return Loaded(path, value, True, check is not None, found.lines_before)  # noqa: FBT003 -- field
         if check:
             raise VerificationError("the document is not signed", code=Code.NOT_SIGNED)
         value = from_yaml(data) if _is_yaml(path, data) else from_xml(data)

@@ -162,12 +162,7 @@ def document_in(message: bytes | SignedFile) -> bytes:
 
     MalformedError if it is not S/MIME; AmbiguousError if DDS stacks would find another one.
     """
-    return SignedFile.of(message).reading.document
-
-
-def lines_before_document(message: bytes | SignedFile) -> int:
-    """Number of lines of the S/MIME file before its document; errors as in document_in."""
-    return SignedFile.of(message).reading.lines_before
+    return SignedFile.of(message).document
 
 
 def is_canonical(message: bytes | SignedFile) -> bool:
@@ -190,7 +185,7 @@ def parts_of(message: bytes | SignedFile) -> tuple[bytes, bytes]:
     be divided like this, since its signed part has other headers or line ends than pqsec writes.
     """
     file = SignedFile.of(message)
-    info, document = _signer(file.cms), file.reading.document.replace(b"\r\n", b"\n")
+    info, document = _signer(file.cms), file.document.replace(b"\r\n", b"\n")
     if b"\r" in document or file.reading.content != _mime.content_of(document):
         raise MalformedError(
             "the signed part is not in pqsec's canonical form",

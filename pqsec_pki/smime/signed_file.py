@@ -25,6 +25,16 @@ class SignedFile:
         """Its parts, the same for all readers."""
         return _reading.read(self.message)
 
+    @property
+    def document(self) -> bytes:
+        """Its document, not verified."""
+        return self.reading.document
+
+    @property
+    def lines_before(self) -> int:
+        """Number of its lines before the document."""
+        return self.reading.lines_before
+
     @cached_property
     def cms(self) -> SignedData:
         """Its CMS structure."""

@@ -19,6 +19,7 @@ from pqsec_pki._files import (
     read,
     refuse_existing,
 )
+from pqsec_pki.credentials import KEYS
 from pqsec_pki.errors import FileError, UsageError, shown
 from pqsec_pki.stacks import Stack
 
@@ -192,7 +193,7 @@ def _move(export: Export, draft: Path, folder: Path, *, force: bool) -> None:
 
 
 def _is_secret(export: Export, source: str | Path) -> bool:
-    return export.is_private if isinstance(source, str) else source.name.endswith("key.pem")
+    return export.is_private if isinstance(source, str) else source.name in KEYS
 
 
 def _folder_mode(export: Export) -> int:

@@ -10,7 +10,7 @@ from functools import cache, partial
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from pqsec_pki._packages import blamed, fault, offered, package_of, the_only
+from pqsec_pki._packages import fault, foreign_errors, offered, package_of, the_only
 from pqsec_pki.errors import PqsecError, UsageError
 from pqsec_pki.stacks import OtherStack, Stack
 from pqsec_pki.vendors.enclave import StackEnclave
@@ -36,7 +36,7 @@ def exporter_of(name: str) -> Exporter:
     entry = the_only(entries, "stack")
     package = package_of(entry)
     words = f"the package {package} cannot add the stack {name!r}"
-    with blamed(words):
+    with foreign_errors(words):
         row: Any = entry.load()
         wrong = next(_faults_of_row(row, name), None)
     if wrong:
@@ -58,7 +58,7 @@ def _faults_of_row(row: Any, name: str) -> Iterator[str]:
 def _guarded(package: str, write: Writer, enclave: StackEnclave, options: Options) -> Export:
     """What it writes, with a warning; an export that has the passphrase is private."""
     words = f"the exporter of the package {package} failed"
-    with blamed(words, PqsecError):
+    with foreign_errors(words, PqsecError):
         made: Any = write(enclave, options)
         wrong = next(_faults_of_export(made), None)
     if wrong:

@@ -465,7 +465,7 @@ def served(plugins, frames):
         links.append(mine)
     subject = AgentWorker(theirs, others, lambda: NOW, lambda _: None)
     while orders_wait(theirs):
-        subject._ordered(0)
+        subject._read_order(0)
     for client in subject._clients.values():
         subject._attend(client, select_read())
     thread = threading.Thread(target=subject.run)

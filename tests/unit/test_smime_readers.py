@@ -25,13 +25,13 @@ from pqsec_pki.problems import Code
 from pqsec_pki.smime import (
     AmbiguousError,
     Require,
+    SignedFile,
     Signer,
     _canonical,
     _openssl_reader,
     _signer_info,
     document_in,
     is_canonical,
-    lines_before_document,
     sign,
     signers_in,
     verify,
@@ -54,6 +54,10 @@ COUNTER = signer_of("Permissions CA ml-dsa-65", "ml-dsa-65")
 
 def signed(document=ALLOWED, **options):
     return sign(document, CA, now=NOW, **options)
+
+
+def lines_before(message):
+    return SignedFile(message).lines_before
 
 
 def countersigned(document=ALLOWED):
@@ -110,7 +114,7 @@ def openssl(requires):
 @pytest.mark.parametrize("construction", CONSTRUCTIONS, ids=lambda each: each.__name__)
 def test_a_file_in_which_readers_find_two_documents_is_refused(construction):
     message = construction(signed(ALLOWED), signed(DENIED))
-    for ask in (document_in, signers_in, lines_before_document):
+    for ask in (document_in, signers_in, lines_before):
         with pytest.raises(AmbiguousError, match="would not read the same document"):
             ask(message)
     with pytest.raises(VerificationError, match="would not read the same document") as caught:
@@ -299,14 +303,14 @@ def test_the_header_of_the_signed_part_is_kept_as_it_was_signed():
     message = signed_as(header + crlf(ALLOWED))
     found = read(message, Require.ANY)
     assert (found.document, found.message) == (crlf(ALLOWED), message)
-    assert lines_before_document(message) == message[: message.index(b"<dds>")].count(b"\n")
+    assert lines_before(message) == message[: message.index(b"<dds>")].count(b"\n")
 
 
 @pytest.mark.parametrize("form", WRAPPERS)
 def test_the_line_where_the_document_begins_is_known(form):
     message = WRAPPERS[form](signed(b"\n" + ALLOWED))
     before = message[: message.index(b"  <allowed/>")]
-    assert lines_before_document(message) + 2 == before.count(b"\n")
+    assert lines_before(message) + 2 == before.count(b"\n")
 
 
 def test_the_text_can_hide_nothing_behind_its_own_header():
