@@ -130,6 +130,15 @@ def new(
     return _strong(asked("New CA passphrase", twice=True))
 
 
+def note_unencrypted(keystore: Path) -> None:
+    """Note that the CA keys of the keystore in that folder are not encrypted."""
+    from pqsec_pki.keystore import layout  # noqa: PLC0415 -- not for every command
+
+    _printing.note(
+        f"the CA keys in {keystore / layout.PRIVATE} are not encrypted: protect that folder"
+    )
+
+
 def _strong(passphrase: bytes) -> bytes:
     """The passphrase; PassphraseError if it is easy to guess."""
     why = ""

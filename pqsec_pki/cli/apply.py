@@ -242,9 +242,7 @@ class _CaPassphrases:
         path, passphrase = _settings.keystore_path(), self.new()
         keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
         if self.none:
-            _printing.note(
-                f"the CA keys in {path / 'private'} are not encrypted: protect that folder"
-            )
+            _passphrases.note_unencrypted(path)
         return keystore, keystore.unlock(passphrase)
 
 

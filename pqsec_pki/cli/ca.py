@@ -159,7 +159,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             now=_settings.now(),
         )
     if no_passphrase and in_files:
-        _printing.note(f"the CA keys in {path / 'private'} are not encrypted: protect that folder")
+        _passphrases.note_unencrypted(path)
     _show(keystore)
 
 

@@ -43,7 +43,7 @@ def passphrase(
     new = _passphrases.new(new_passphrase_file, none=no_passphrase, option="--new-passphrase-file")
     paths = change_passphrase(keystore, authorities, new)
     if new is None:
-        _printing.note(f"the CA keys in {paths[0].parent} are not encrypted: protect that folder")
+        _passphrases.note_unencrypted(keystore.root)
     word = "not encrypted" if new is None else "encrypted again"
     value = {"keys": paths, "encrypted": new is not None}
     _printing.emit(value, [f"{path}  {word}" for path in paths])

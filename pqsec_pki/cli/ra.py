@@ -12,8 +12,8 @@ from pqsec_pki.cli import _formats, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.plan import DEFAULT_FILE
 from pqsec_pki.domain import Desired, read_domain, role_value
-from pqsec_pki.errors import KeystoreError, UsageError, located, meant
-from pqsec_pki.keystore import Registration, SigningCa, enrolled_by, registrations
+from pqsec_pki.errors import UsageError, located, meant
+from pqsec_pki.keystore import Registration, SigningCa, enrolled_by, registrations, registrations_of
 from pqsec_pki.lifecycle import add_registration, end_registrations
 
 _COLUMNS = (
@@ -189,12 +189,7 @@ def list_(granted: str | None, enrolled: str | None, form: str) -> None:
     keystore, now = _settings.open_keystore(), _settings.now()
     found = registrations(keystore)
     if name := granted or enrolled:
-        own = [each for each in found if each.grant.authority == name]
-        if not own:
-            raise KeystoreError(
-                f"there is no registration authority {name}",
-                hint=meant(name, [each.grant.authority for each in found]) or None,
-            )
+        own = registrations_of(found, name)
         if enrolled:
             names = enrolled_by(keystore, name)
             _printing.emit({"participants": names}, names)

@@ -125,6 +125,7 @@ if TYPE_CHECKING:
         predates_approvals,
         registration,
         registrations,
+        registrations_of,
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.shared_requests import RequestRow, SharedRequests
@@ -232,6 +233,7 @@ __all__ = [
     "refuse_overlap",
     "registration",
     "registrations",
+    "registrations_of",
     "regular_name",
     "robot_states",
     "schema_sql",

@@ -4,7 +4,7 @@ A grant is a line, and its end before its time is another one. The line of an or
 the certificates, so how many a grant was used for is what the ledger says.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
@@ -12,7 +12,7 @@ from pqsec_pki._times import said
 from pqsec_pki.algorithms import PublicKey
 from pqsec_pki.approvals import EnrolmentOrder, RegistrationGrant, SignedGrant
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import KeystoreError, MalformedError, VerificationError, meant
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.problems import Code
@@ -136,6 +136,18 @@ def registrations(keystore: Keystore) -> list[Registration]:
         )
         for each in lines
     ]
+
+
+def registrations_of(known: Sequence[Registration], name: str) -> list[Registration]:
+    """The grants of the registration authority with that name; KeystoreError if there is none."""
+    own = [each for each in known if each.grant.authority == name]
+    if not own:
+        raise KeystoreError(
+            f"there is no registration authority {name}",
+            hint=meant(name, [each.grant.authority for each in known])
+            or "`pqsec ra list` shows them",
+        )
+    return own
 
 
 def registration(keystore: Keystore, digest: str) -> Registration:

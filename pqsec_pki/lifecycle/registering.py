@@ -5,7 +5,7 @@ from datetime import datetime
 
 from pqsec_pki.algorithms import PrivateKey
 from pqsec_pki.approvals import Covered, RegistrationGrant, SignedGrant
-from pqsec_pki.errors import ExistsError, KeystoreError, VerificationError, meant
+from pqsec_pki.errors import ExistsError, VerificationError
 from pqsec_pki.keystore import (
     Authorities,
     Keystore,
@@ -14,6 +14,7 @@ from pqsec_pki.keystore import (
     grant_end_entry,
     grant_entry,
     registrations,
+    registrations_of,
 )
 
 
@@ -56,12 +57,7 @@ def end_registrations(
         keystore.refuse_unapproved(Covered.OTHER)
         known = registrations(keystore)
         for name in names:
-            if all(each.grant.authority != name for each in known):
-                raise KeystoreError(
-                    f"there is no registration authority {name}",
-                    hint=meant(name, [each.grant.authority for each in known])
-                    or "`pqsec ra list` shows them",
-                )
+            registrations_of(known, name)  # refuses a name without a grant
         ended = [each for each in known if each.grant.authority in names and not each.revoked]
         transaction.record(*(grant_end_entry(each.grant, now) for each in ended))
     return ended
