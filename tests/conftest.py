@@ -17,7 +17,6 @@ import hypothesis
 import pytest
 
 from pqsec_pki.algorithms import _pbes2
-from pqsec_pki.inspection._key import FEW_ITERATIONS
 from tests.libraries import Libraries, libraries
 from tests.longer import ALL_CASES, LONG, gate_part, named
 from tests.measured import pytest_sessionstart
@@ -35,7 +34,7 @@ hypothesis.settings.load_profile("pqsec")
 
 ITERATIONS = _pbes2.ITERATIONS
 if not LONG:  # else a key under a passphrase takes a quarter of a second at each use
-    _pbes2.ITERATIONS = FEW_ITERATIONS
+    _pbes2.ITERATIONS = 1000
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 ELSEWHERE = ("in .ci/long: ", "PQSEC_OPENDDS_ROOT", "PQSEC_ROS2_TOOLS")

@@ -26,7 +26,7 @@ ALL_CASES = os.environ.get("PQSEC_LONG") in {"1", "cases"}
 TESTS = Path(__file__).parent
 PART = 10
 """The gate takes one in so many."""
-EXAMPLES = 25
+EXAMPLES = 40
 """Of generated examples, which have seeds of their own, one in so many."""
 FEW = 3
 """And of tables that many tests go through, one row in so many."""
@@ -37,7 +37,7 @@ Part = int | list[str]
 
 def examples(whole: int) -> int:
     """How many generated examples a property is tested with."""
-    return whole if LONG else max(whole // EXAMPLES, 10)
+    return whole if LONG else max(whole // EXAMPLES, 8)
 
 
 def seeds(whole: int, gate: int) -> range:

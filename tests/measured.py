@@ -2,6 +2,7 @@
 
 Under pytest-cov this plugin stops the measurement, and lets it run
 
+- in no test that unmeasured.txt names: others show what it runs (tests/unmeasured.py);
 - in the set-up of a fixture when it is the first in this process;
 - in a case of a test until two cases of it in a row have shown nothing new;
 - in each case until half a second of the processor has shown nothing new.
@@ -26,6 +27,7 @@ NOT_MEASURED = {"property", "fuzz", "vectors", "interop", "plugin", "docs", "e2e
 """Folders whose tests run the same code over and over, or processes of their own."""
 MEASURED_THERE = {"test_plugin_try.py", "test_postgres.py"}
 """Files of those folders: nothing else runs what they run."""
+LIST = ROOT / "tests/unmeasured.txt"
 PATIENCE = 0.5
 """Seconds of the processor."""
 CASES = 2
@@ -35,6 +37,11 @@ _PROCESSES = {
 }
 
 _environment: dict[str, str] = {}
+
+
+def in_measured_folder(file: Path) -> bool:
+    """Whether tests of that file are measured, but for those of the list."""
+    return file.parent.name not in NOT_MEASURED or file.name in MEASURED_THERE
 
 
 def measured_too() -> dict[str, str]:
@@ -60,6 +67,7 @@ class Measurement:
         self._coverage = coverage
         self._runs = True
         self._fixtures: set[object] = set()
+        self._shown = frozenset(LIST.read_text().split())
         self._barren: Counter[str] = Counter()
         """Test -> how many cases in a row have shown nothing new."""
         # What a fork of this process runs is measured for nobody: it ends without saving it.
@@ -83,8 +91,8 @@ class Measurement:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item):
         test = item.nodeid.partition("[")[0]
-        elsewhere = item.path.parent.name in NOT_MEASURED and item.path.name not in MEASURED_THERE
-        if elsewhere or self._barren[test] == CASES:
+        shown = test in self._shown or self._barren[test] == CASES
+        if shown or not in_measured_folder(item.path):
             return (yield)
         before = self._found()
         with self._until_nothing_is_new():
