@@ -4,6 +4,7 @@ import os
 import pickle
 import pkgutil
 import shutil
+import sys
 import tempfile
 from collections.abc import Iterator
 from importlib import import_module
@@ -78,6 +79,7 @@ def as_nobody(run_in, shared):
         if child == 0:
             try:
                 os.chdir("/")  # likewise
+                sys.prefix = "/usr"  # likewise
                 if ROOT:
                     os.setgroups([])
                     os.setresgid(NOBODY, NOBODY, NOBODY)

@@ -96,6 +96,7 @@ def test_a_file_that_is_written_again_within_a_step_of_the_clock_is_read_again(
     """Its size and times are what they were."""
     enter(keystore, 1)
     now = time.time_ns() | 1
+    monkeypatch.setattr(time, "time_ns", lambda: now)
     monkeypatch.setattr(_ledger_file, "version", lambda _: (1, 2, 3, now, now))
     path = keystore.root / layout.PRIVATE / layout.LEDGER
     for digit in "ef":
