@@ -121,7 +121,8 @@ def running(place, prelude="", **variables):
         text=True,
     )
     try:
-        until(lambda: listening.answers(place.socket))
+        until(lambda: process.poll() is not None or listening.answers(place.socket))
+        assert process.poll() is None, process.stderr.read()
         yield process
     finally:
         process.kill()
