@@ -316,6 +316,6 @@ def test_a_plan_that_another_command_made_old_is_not_applied_after_the_yes(
                 run_in(tmp_path, "-k k issue /new").done()
                 os.write(ours, b"y\n")
     os.close(ours)
-    assert process.wait(timeout=60) == 3
+    assert process.wait(timeout=60) == 3, said.decode()
     assert b"another command changed the keystore since the plan was shown" in said
     assert not (tmp_path / "k/private/generations").exists()
