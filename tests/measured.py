@@ -68,7 +68,7 @@ class Measurement:
         self._runs = True
         self._fixtures: set[object] = set()
         self._shown = frozenset(LIST.read_text().split())
-        self._barren: Counter[str] = Counter()
+        self._nothing_new: Counter[str] = Counter()
         """Test -> how many cases in a row have shown nothing new."""
         # What a fork of this process runs is measured for nobody: it ends without saving it.
         os.register_at_fork(after_in_child=lambda: sys.settrace(None))
@@ -91,13 +91,13 @@ class Measurement:
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item):
         test = item.nodeid.partition("[")[0]
-        shown = test in self._shown or self._barren[test] == CASES
+        shown = test in self._shown or self._nothing_new[test] == CASES
         if shown or not in_measured_folder(item.path):
             return (yield)
         before = self._found()
         with self._until_nothing_is_new():
             result = yield
-        self._barren[test] = 0 if self._found() > before else self._barren[test] + 1
+        self._nothing_new[test] = 0 if self._found() > before else self._nothing_new[test] + 1
         return result
 
     @contextmanager

@@ -9,6 +9,8 @@ from pqsec_pki.cli._participant_options import SINGLE_TOPICS, topics_of
 from pqsec_pki.documents import Grant, ros
 from pqsec_pki.errors import meant
 
+_DOING = {Action.PUBLISH: "publishing", Action.SUBSCRIBE: "subscribing to"}
+
 
 def note_not_granted(given: dict[str, Any], grants: Collection[Grant]) -> None:
     """Note what topics that are to be removed, and no rule allows, may have meant.
@@ -19,7 +21,7 @@ def note_not_granted(given: dict[str, Any], grants: Collection[Grant]) -> None:
     for action, topic in TopicRights(publish=publish, subscribe=subscribe):
         known = [each for grant in grants for each in granted_topics(grant, action)]
         if topic not in known and (instead := _instead(action, topic, grants)):
-            _printing.note(f"no rule allows to {action} {topic}; {instead}")
+            _printing.note(f"no rule allows {_DOING[action]} {topic}; {instead}")
 
 
 def _instead(action: Action, topic: str, grants: Collection[Grant]) -> str:
@@ -29,5 +31,5 @@ def _instead(action: Action, topic: str, grants: Collection[Grant]) -> str:
         return f"ROS 2 nodes use {name}: --ros-{action} {topic}"
     other = Action.SUBSCRIBE if action is Action.PUBLISH else Action.PUBLISH
     if any(granted_topics(each, other, name) for each in grants):
-        return f"one allows to {other} {name}"
+        return f"one allows {_DOING[other]} {name}"
     return meant(topic, [each for grant in grants for each in granted_topics(grant, action)])
