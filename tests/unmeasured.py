@@ -1,7 +1,8 @@
 """Writes unmeasured.txt: tests whose coverage the gate does not measure, since others show it.
 
-Measuring makes a test take half as long again. Quick tests are measured in any case, and so is what
-is new. Write the list again when the gate's coverage has fallen, or its time has grown:
+Measuring makes a test take half as long again. A new file is measured, and a new test in a file
+that is not named as a whole. Write the list again when the gate's coverage has fallen, or its time
+has grown:
 
     python -m pytest --cov --cov-context=test --cov-report= --junitxml=FILE
     python -m tests.unmeasured .coverage FILE
@@ -9,37 +10,58 @@ is new. Write the list again when the gate's coverage has fallen, or its time ha
 
 import sys
 from collections import defaultdict
+from collections.abc import Iterable
 from contextlib import closing
+from heapq import heapify, heappop, heappush
 from pathlib import Path
 from sqlite3 import connect
 from xml.etree import ElementTree as ET
 
-from tests.measured import LIST, in_measured_folder
+from tests.measured import LIST
 
-QUICK = 0.3
-"""Seconds, of all cases of a test."""
-WORTH = 1
-"""Steps that only this test shows, for each second that it takes: with fewer it is not measured."""
+QUICK = 0.1
+"""Seconds, of all cases of a test: quicker ones are not named alone."""
+WORTH = 2
+"""Points that a test adds for each second that it takes: with fewer it is not measured."""
 
-Step = tuple[int, int, int]
-"""A file, and two of its lines that ran one after the other."""
+Point = tuple[int, ...]
+"""A file and a line of it; or a file, a line that others may follow, and the one that did."""
 
 
-def unmeasured(seconds: dict[str, float], steps: defaultdict[str, set[Step]]) -> list[str]:
-    """Those of the tests whose steps quick tests, and slow ones that are worth it, show too."""
-    slow = sorted(
-        (test for test in seconds if seconds[test] >= QUICK),
-        key=lambda test: len(steps[test]) / seconds[test],
-        reverse=True,
-    )
-    shown = set[Step]().union(*(found for test, found in steps.items() if test not in slow))
-    left_out = []
-    for test in slow:
-        if len(steps[test] - shown) < WORTH * seconds[test]:
-            left_out.append(test)
+def worth_measuring(seconds: dict[str, float], points: dict[str, set[Point]]) -> set[str]:
+    """Tests that show together what all show, but for what takes too long."""
+    waiting = [(-len(found) / seconds[test], test) for test, found in points.items()]
+    heapify(waiting)
+    shown = set[Point]()
+    chosen = set()
+    while waiting:
+        _, test = heappop(waiting)
+        rate = len(points[test] - shown) / seconds[test]
+        if waiting and rate < -waiting[0][0]:  # others have shown some of its points
+            heappush(waiting, (-rate, test))
+        elif rate < WORTH:
+            break
         else:
-            shown |= steps[test]
-    return sorted(left_out)
+            chosen.add(test)
+            shown |= points[test]
+    return chosen
+
+
+def unmeasured(seconds: dict[str, float], chosen: set[str]) -> list[str]:
+    """The other tests: a file as a whole, or those of a file that take long."""
+    files = {_file(test) for test in chosen}
+    return sorted(
+        {_file(test) for test in seconds}.difference(files)
+        | {
+            test
+            for test in seconds.keys() - chosen
+            if _file(test) in files and seconds[test] >= QUICK
+        }
+    )
+
+
+def _file(test: str) -> str:
+    return test.partition("::")[0]
 
 
 def _seconds(junit: Path) -> dict[str, float]:
@@ -47,22 +69,30 @@ def _seconds(junit: Path) -> dict[str, float]:
     for case in ET.parse(junit).iter("testcase"):  # noqa: S314 -- pytest wrote it
         file = Path(case.attrib["classname"].replace(".", "/") + ".py")
         name = case.attrib["name"].partition("[")[0]
-        if file.is_file() and in_measured_folder(file):  # else a test of a class
-            found[f"{file}::{name}"] += float(case.attrib["time"])
+        if file.is_file():  # else a test of a class
+            found[f"{file}::{name}"] += max(float(case.attrib["time"]), 0.001)
     return found
 
 
-def _steps(coverage: Path) -> defaultdict[str, set[Step]]:
+def _points(coverage: Path) -> dict[str, set[Point]]:
     query = "select context, file_id, fromno, tono from arc join context on context.id = context_id"
-    found = defaultdict[str, set[Step]](set)
+    steps = defaultdict[str, set[Point]](set)
     with closing(connect(coverage)) as data:
         for context, *step in data.execute(query):
-            test = context.partition("|")[0].partition("[")[0]
-            if in_measured_folder(Path(test.partition("::")[0])):
-                found[test].add(tuple(step))
-    return found
+            steps[context.partition("|")[0].partition("[")[0]].add(tuple(step))
+    followers = defaultdict[Point, set[int]](set)
+    for file, line, follower in set().union(*steps.values()):
+        followers[file, line].add(follower)
+
+    def points(steps: Iterable[Point]) -> set[Point]:
+        lines = {(file, line) for file, _, line in steps}
+        return lines | {step for step in steps if len(followers[step[:2]]) > 1}
+
+    return {test: points(found) for test, found in steps.items()}
 
 
 if __name__ == "__main__":
-    tests = unmeasured(_seconds(Path(sys.argv[2])), _steps(Path(sys.argv[1])))
-    LIST.write_text("".join(f"{test}\n" for test in tests))
+    seconds = _seconds(Path(sys.argv[2]))
+    points = _points(Path(sys.argv[1]))
+    chosen = worth_measuring(seconds, {test: points[test] for test in points.keys() & seconds})
+    LIST.write_text("".join(f"{test}\n" for test in unmeasured(seconds, chosen)))

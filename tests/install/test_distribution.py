@@ -4,7 +4,6 @@ import os
 import shutil
 import subprocess
 import sys
-import tarfile
 import zipfile
 from pathlib import Path
 
@@ -56,8 +55,8 @@ def test_two_builds_have_the_same_bytes(built, tmp_path):
 
 def test_the_wheel_of_the_source_distribution_is_that_of_the_checkout(built, tmp_path):
     source, wheel = built
-    with tarfile.open(source) as archive:
-        archive.extractall(tmp_path, filter="data")
+    # Debian 12's Python, 3.11.2, has no filters of tarfile.
+    subprocess.run(["tar", "-xf", source, "-C", tmp_path], check=True)
     [unpacked] = tmp_path.iterdir()
     [again] = build(unpacked, tmp_path / "again", "-t", "wheel")
     assert again.read_bytes() == wheel.read_bytes()

@@ -9,6 +9,7 @@ import pytest
 
 from tests.longer import TESTS, covering, spread
 from tests.measured import LIST
+from tests.unmeasured import unmeasured, worth_measuring
 
 LEFT_OUT = tomllib.loads((TESTS / "longer.toml").read_text())
 TOY = """
@@ -55,10 +56,24 @@ def test_what_is_left_out_is_there():
 
 
 def test_what_is_not_measured_is_there():
-    """Each line of unmeasured.txt names a test that exists."""
-    names = [line.split("::") for line in LIST.read_text().splitlines()]
-    texts = {file: (TESTS.parent / file).read_text() for file, *_ in names}
-    assert ["::".join(each) for each in names if f"def {each[-1]}(" not in texts[each[0]]] == []
+    """Each line of unmeasured.txt names a file, or a test, that exists."""
+    names = [line.partition("::") for line in LIST.read_text().splitlines()]
+    texts = {file: (TESTS.parent / file).read_text() for file, _, _ in names}
+    assert [name for file, _, name in names if name not in texts[file]] == []
+
+
+def test_what_others_show_is_not_measured():
+    """Of two tests that show the same, the quicker one; a file without a chosen one as a whole."""
+    seconds = {"a::slow": 9, "a::quick": 1, "a::other": 2, "b::none": 0.1, "b::same": 2}
+    points = {
+        "a::slow": {(1, 1), (1, 2)},
+        "a::quick": {(1, 1), (1, 2)},
+        "a::other": {(1, line) for line in range(3, 9)},
+        "b::same": {(1, 1)},
+    }
+    chosen = worth_measuring(seconds, points)
+    assert chosen == {"a::quick", "a::other"}
+    assert unmeasured(seconds, chosen) == ["a::slow", "b"]
 
 
 @pytest.fixture
