@@ -1,8 +1,8 @@
 """Coverage is measured where a test shows something new: measuring takes half as long as the test.
 
-Under pytest-cov this plugin stops the measurement, and lets it run in each test that unmeasured.txt
-does not name, by itself or with its file or folder; of the set-ups of a fixture in a process only
-in the first.
+Under pytest-cov this plugin measures a test if unmeasured.txt names neither the test nor its file.
+Of each fixture, and each of its parameters, it measures the first set-up in a process, also for a
+test that is not measured, and no other.
 
 What a module runs when it is imported is measured once, in a process that imports them all
 (tests/unit/test_rooms.py). The job of mutants, which asks which test runs what, measures all.

@@ -2,10 +2,12 @@
 
 Measuring makes a test take half as long again. A new file is measured, and a new test in a file
 that is not named as a whole. Write the list again when the gate's coverage has fallen, or its time
-has grown:
+has grown, from a run of .ci/run with these options of pytest in `tests` (elsewhere tests are
+skipped, and what shows nothing is named):
 
-    python -m pytest --cov --cov-context=test --cov-report= --junitxml=FILE
-    python -m tests.unmeasured .coverage FILE
+    --cov --cov-context=test --cov-report= --junitxml=FILE
+
+Then, in that checkout: .venv-test/bin/python -m tests.unmeasured .coverage FILE
 """
 
 import sys
@@ -29,7 +31,10 @@ Point = tuple[int, ...]
 
 
 def worth_measuring(seconds: dict[str, float], points: dict[str, set[Point]]) -> set[str]:
-    """Tests that show together what all show, but for what takes too long."""
+    """Tests that together show what all show, except points that take too long.
+
+    The next one is always that which adds most points in a second.
+    """
     waiting = [(-len(found) / seconds[test], test) for test, found in points.items()]
     heapify(waiting)
     shown = set[Point]()
@@ -48,7 +53,7 @@ def worth_measuring(seconds: dict[str, float], points: dict[str, set[Point]]) ->
 
 
 def unmeasured(seconds: dict[str, float], chosen: set[str]) -> list[str]:
-    """The other tests: a file as a whole, or those of a file that take long."""
+    """The others: a file if none of its tests is chosen, else its tests that are not quick."""
     files = {_file(test) for test in chosen}
     return sorted(
         {_file(test) for test in seconds}.difference(files)

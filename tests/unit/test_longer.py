@@ -1,6 +1,7 @@
 """What the gate leaves to the longer job."""
 
 import os
+import re
 import subprocess
 import sys
 import tomllib
@@ -59,7 +60,8 @@ def test_what_is_not_measured_is_there():
     """Each line of unmeasured.txt names a file, or a test, that exists."""
     names = [line.partition("::") for line in LIST.read_text().splitlines()]
     texts = {file: (TESTS.parent / file).read_text() for file, _, _ in names}
-    assert [name for file, _, name in names if name not in texts[file]] == []
+    found = [name for file, _, name in names if not re.search(rf"\b{name}\b", texts[file])]
+    assert found == []
 
 
 def test_what_others_show_is_not_measured():
