@@ -19,8 +19,8 @@ def note_not_granted(given: dict[str, Any], grants: Collection[Grant]) -> None:
     """
     publish, subscribe = topics_of(**{each: given[each] for each in SINGLE_TOPICS})
     for action, topic in TopicRights(publish=publish, subscribe=subscribe):
-        known = [each for grant in grants for each in granted_topics(grant, action)]
-        if topic not in known and (instead := _instead(action, topic, grants)):
+        allowed = any(granted_topics(each, action, topic) for each in grants)
+        if not allowed and (instead := _instead(action, topic, grants)):
             _printing.note(f"no rule allows {_DOING[action]} {topic}; {instead}")
 
 

@@ -171,7 +171,7 @@ BROKEN = {
     "spaced": "the name 'a b' is not",
     "unhashable": "TypeError: unhashable",
     "raising": "OSError: no name today",
-    "id-prefixed": "no name begins with 'id-'",
+    "id-prefixed": "its name begins with 'id-'",
     "leaving": "SystemExit: 0",
 }
 
