@@ -22,14 +22,17 @@ from pathlib import Path
 
 CLIENT = """\
 #!{python} -IS
-import json, os, socket, sys
+import json, os, signal, socket, sys
 umask = os.umask(0)
 os.umask(umask)
 server = socket.socket(socket.AF_UNIX)
 server.connect({path!r})
 words = [sys.argv[1:], os.getcwd(), dict(os.environ), umask]
 socket.send_fds(server, [json.dumps(words).encode() + b"\\n"], [0, 1, 2])
-code = server.recv(4)
+answers = server.makefile()
+if child := answers.readline():
+    signal.signal(signal.SIGTERM, lambda number, _: os.kill(int(child), number))
+code = answers.readline()
 sys.exit(int(code) if code else "pqsec ended without an exit code")
 """
 MAX_COMMAND = 1 << 20
@@ -58,10 +61,11 @@ def serve(path: str, *modules: str) -> None:
 
 
 def _run(client: socket.socket, main) -> None:
-    """Run one command in this process, send its exit code, and end."""
+    """Run one command in this process, send its process ID and its exit code, and end."""
     code = 1
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     try:
+        client.send(f"{os.getpid()}\n".encode())
         text, streams, _, _ = socket.recv_fds(client, MAX_COMMAND, 3)
         while not text.endswith(b"\n"):
             text += client.recv(MAX_COMMAND)
@@ -83,7 +87,8 @@ def _run(client: socket.socket, main) -> None:
         with suppress(OSError):
             sys.stdout.flush()
             sys.stderr.flush()
-        client.send(str(code).encode())
+        with suppress(OSError):  # the client was killed
+            client.send(f"{code}\n".encode())
         os._exit(code)
 
 
@@ -126,7 +131,9 @@ class Forks:
             server.connect(self._path)
             streams = [each.fileno() for each in (nothing, out, err)]
             socket.send_fds(server, [request], streams)
-            code = server.recv(4)
+            with server.makefile() as answers:
+                answers.readline()
+                code = answers.readline()
             assert code, "pqsec ended without an exit code"
             said = [each.seek(0) or each.read() for each in (out, err)]
         return subprocess.CompletedProcess(list(words), int(code), *said)

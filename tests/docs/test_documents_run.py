@@ -20,8 +20,10 @@ import math
 import os
 import re
 import shutil
+import signal
 import subprocess
 import time
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -108,6 +110,8 @@ class Session:
     def __init__(self, folder: Path, programs: Path) -> None:
         self.work = folder / "work"
         self.work.mkdir()
+        self._groups = folder / "groups"
+        self._groups.touch()
         self._next_second = 0.0
         self._variables = folder / "variables"
         self._variables.touch()
@@ -125,7 +129,7 @@ class Session:
         if SIGNS_AGAIN.search(command):
             time.sleep(max(0.0, self._next_second - time.time()))
         script = (
-            f'. "{self._variables}"\n{command}\n'
+            f'echo $$ >> "{self._groups}"\n. "{self._variables}"\n{command}\n'
             f'code=$?\nexport -p > "{self._variables}"\nexit $code'
         )
         done = subprocess.run(
@@ -138,9 +142,16 @@ class Session:
             text=True,
             timeout=PATIENCE,
             check=False,
+            start_new_session=True,
         )
         self._next_second = math.floor(time.time()) + 1.01
         return done.returncode, done.stdout
+
+    def end(self) -> None:
+        """End what commands have left in the background."""
+        for group in self._groups.read_text().split():
+            with suppress(ProcessLookupError):
+                os.killpg(int(group), signal.SIGTERM)
 
 
 ABSENT = {"Cyclone DDS": lambda: find_cyclone_plugins(Path("/")) is None}
@@ -203,10 +214,16 @@ def programs(tmp_path_factory):
         yield folder
 
 
+@pytest.fixture
+def session(tmp_path, programs):
+    made = Session(tmp_path, programs)
+    yield made
+    made.end()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("path", WITH_COMMANDS)
-def test_the_commands_of_a_document_do_what_it_says(path, tmp_path, programs, requires):
-    session = Session(tmp_path, programs)
+def test_the_commands_of_a_document_do_what_it_says(path, session, requires):
     if path.parent.parent.name == "examples":
         shutil.copytree(path.parent, session.work, dirs_exist_ok=True)  # what the example brings
         (session.work / path.name).unlink()
@@ -303,8 +320,16 @@ def test_what_is_printed_without_something_is_expected_there_only(monkeypatch):
         assert said_here(lines) == due
 
 
-def test_a_failing_command_is_seen(tmp_path, programs):
-    session = Session(tmp_path, programs)
+def test_what_a_document_leaves_in_the_background_ends(session):
+    started = """export XDG_RUNTIME_DIR=$(mktemp -d)
+        pqsec agent run > agent.txt 2>&1 &
+        until pqsec agent status > status.txt 2>&1; do sleep 0.1; done"""
+    assert session.run(started)[0] == 0
+    session.end()
+    assert session.run("while pqsec agent status; do sleep 0.1; done")[0] == 0
+
+
+def test_a_failing_command_is_seen(session):
     assert session.run("export A=b; pqsec --version; false")[0] == 1
     assert session.run("exit 3  # exit 3") == (3, "")
     code, printed = session.run('echo "$A" >&2')
