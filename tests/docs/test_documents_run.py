@@ -147,6 +147,10 @@ class Session:
         self._next_second = math.floor(time.time()) + 1.01
         return done.returncode, done.stdout
 
+    def logs(self) -> str:
+        """What servers, stacks and the agent have logged, to explain a failure."""
+        return self.run("tail -n 9 *.log; pqsec agent status; pqsec agent log | tail -n 99")[1]
+
     def end(self) -> None:
         """End what commands have left in the background."""
         for group in self._groups.read_text().split():
@@ -232,7 +236,8 @@ def test_the_commands_of_a_document_do_what_it_says(path, session, requires):
         for program in others_in(command.text):
             requires(_found(program), *OTHERS[program])
         code, printed = session.run(command.text)
-        assert code == command.exit_code, f"{place}: {command.text}\nexit {code}\n{printed}"
+        said = f"{place}: {command.text}\nexit {code}\n{printed}"
+        assert code == command.exit_code, f"{said}\n{session.logs()}"
         if command.output:
             output = said_here(command.output)
             wanted = "\n".join(output)
