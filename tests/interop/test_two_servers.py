@@ -60,10 +60,8 @@ def fetched(server, identity, **headers):
 
 def until_lists_are(servers, listed):
     """A front gives an answer for everybody again for some seconds."""
-    end = time.monotonic() + PATIENCE
     while any(each.send("GET", "/pqsec/v1/revocation-lists").body != listed for each in servers):
-        assert time.monotonic() < end
-        time.sleep(0.5)
+        time.sleep(0.5)  # the test has a time limit
 
 
 def test_each_server_answers_what_the_other_issued(servers, tmp_path):
