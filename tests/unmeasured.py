@@ -23,7 +23,7 @@ from tests.measured import LIST
 
 QUICK = 0.1
 """Seconds, of all cases of a test: quicker ones are not named alone."""
-WORTH = 4
+WORTH = 10
 """Points that a test adds for each second that it takes: with fewer it is not measured."""
 
 Point = tuple[int, ...]
