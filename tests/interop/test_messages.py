@@ -1,6 +1,7 @@
 """What the stacks really say when they refuse, looked up in the table of their messages."""
 
 import re
+import subprocess
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -30,8 +31,14 @@ def other_key(lab, now):
 
 
 def encrypted_key(lab, now):
+    """A key that the wrong passphrase does not decrypt: one in 256 it decrypts to noise."""
     key = load_private_key((lab.alice / "key.pem").read_bytes())
-    return {"key.pem": private_key_pem(key, b"secret")}
+    said = b""
+    while b"bad decrypt" not in said:
+        encrypted = private_key_pem(key, b"secret")
+        command = ["openssl", "pkey", "-noout", "-passin", "pass:"]
+        said = subprocess.run(command, input=encrypted, capture_output=True, check=False).stderr
+    return {"key.pem": encrypted}
 
 
 def another_ca(lab, now):
