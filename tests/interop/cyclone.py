@@ -78,6 +78,7 @@ def participant(
     Without `optional`, its handshake messages have only what DDS-Security demands.
     RefusedError if its identity is refused.
     """
+    ctypes.CDLL("libcrypto.so.3").ERR_clear_error()  # it reports the first one in the queue
     library = plugins / "libdds_security_auth.so"
     with (
         started(library, "authentication", AUTHENTICATION, optional=optional) as authentication,

@@ -1,5 +1,6 @@
 """What the stacks really say when they refuse, looked up in the table of their messages."""
 
+import ctypes
 import re
 import subprocess
 from datetime import timedelta
@@ -148,6 +149,14 @@ def explains(labs, enclave, now):
 
 def best(error):
     return next((found.text for found in recognise(str(error))), None)
+
+
+def test_what_another_library_left_in_openssls_queue_is_not_said(explains, plugins):
+    openssl = ctypes.CDLL("libcrypto.so.3")
+    openssl.ERR_new()
+    openssl.ERR_set_error(9, 108, None)  # of PEM: no start line
+    said = explains(lambda folder: cyclone_participant(plugins, folder), altered)
+    assert said == CYCLONE[altered]
 
 
 @pytest.mark.parametrize("flaw", CYCLONE, ids=lambda flaw: flaw.__name__)
