@@ -37,9 +37,9 @@ if not LONG:  # else a key under a passphrase takes a quarter of a second at eac
     _pbes2.ITERATIONS = 1000
 
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
-ELSEWHERE = ("in .ci/long: ", "PQSEC_OPENDDS_ROOT", "PQSEC_ROS2_TOOLS")
-"""In the reasons of skips that the gate allows: the longer job runs the test; or it needs OpenDDS
-or ROS 2's tools, which no registry has, and is run by hand."""
+ELSEWHERE = ("in .ci/long: ", "PQSEC_CYCLONEDDS_11", "PQSEC_OPENDDS_ROOT", "PQSEC_ROS2_TOOLS")
+"""In the reasons of skips that the gate allows: the longer job runs the test; or it needs OpenDDS,
+ROS 2's tools or Cyclone DDS 11, which no registry has, and is run by hand."""
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:

@@ -44,11 +44,13 @@ if TYPE_CHECKING:
     from pqsec_pki.access.interpretation import Interpretation, Viewpoint
     from pqsec_pki.access.interpretations import (
         CYCLONEDDS,
+        CYCLONEDDS_11,
         FASTDDS,
         INTERPRETATIONS,
         OPENDDS,
         SPEC,
-        interpretation_named,
+        interpretations_named,
+        names_of,
     )
     from pqsec_pki.access.join import may_join
     from pqsec_pki.access.matrix import DocumentOwner, TopicRow, topics_named
@@ -59,6 +61,7 @@ else:
 
 __all__ = [
     "CYCLONEDDS",
+    "CYCLONEDDS_11",
     "FASTDDS",
     "INTERPRETATIONS",
     "MAX_NAME",
@@ -92,9 +95,10 @@ __all__ = [
     "domains_said",
     "domains_ungoverned",
     "granted_topics",
-    "interpretation_named",
+    "interpretations_named",
     "is_known",
     "may_join",
+    "names_of",
     "open_rights",
     "opendds_reads_beyond",
     "permissions_diff",

@@ -1,7 +1,7 @@
 """The checks in which stacks differ from the standard.
 
-All of this was measured with the plugins of Cyclone DDS 0.10.2 and Fast DDS 2.9.1. For OpenDDS
-3.34 it was read in the source, and its access control was run.
+All of this was measured with the plugins of Cyclone DDS 0.10.2 and 11.0.1, and of Fast DDS 2.9.1.
+For OpenDDS 3.34 it was read in the source, and its access control was run.
 """
 
 from collections.abc import Iterable
@@ -37,22 +37,44 @@ CYCLONEDDS_BUILTIN = frozenset(
 
 
 def cyclonedds_topic(context: EvaluationContext) -> Decision:
-    """check_create_topic: an endpoint needs a topic, which is checked first.
+    """check_create_topic of 0.10: an endpoint needs a topic, which is checked first.
 
     The first rule for the domain that has the topic decides, for publishing or subscribing and
     in any partition. So a deny_rule for one partition denies the topic.
     """
+    return _cyclonedds_governed(context) or _first_with_topic(context, _EITHER)
+
+
+def cyclonedds_11_topic(context: EvaluationContext) -> Decision:
+    """check_create_topic of 11.0: denied only if publishing and subscribing both are.
+
+    Each is decided by the first rule for the domain that has the topic for it, in any partition
+    (upstream 5ac329b05).
+    """
+    if decision := _cyclonedds_governed(context):
+        return decision
+    own_first = sorted(_EITHER, key=lambda action: action is not context.question.action)
+    decisions = [_first_with_topic(context, (action,)) for action in own_first]
+    return next((each for each in decisions if each.allowed), decisions[0])
+
+
+def _cyclonedds_governed(context: EvaluationContext) -> Decision | None:
+    """The decision about the topic without permissions; None if they decide."""
     if context.question.topic in context.interpretation.builtin:
         return _builtin(context)
     rule = next(context.topic_rules, None)
     if rule is None:
         return ungoverned(context)
-    if rule.is_half_open:
-        return opened(context, rule)
-    for each in context.rules:
-        for criteria in (*each.publish, *each.subscribe):
-            if context.has_topic(criteria):
-                return _topic_ruled(context, each, criteria)
+    return opened(context, rule) if rule.is_half_open else None
+
+
+def _first_with_topic(context: EvaluationContext, actions: tuple[Action, ...]) -> Decision:
+    """By the first rule for the domain that has the topic for one of the actions."""
+    for rule in context.rules:
+        for action in actions:
+            for criteria in context.criteria(rule, action):
+                if context.has_topic(criteria):
+                    return _topic_ruled(context, rule, criteria)
     return by_default(context, None)
 
 

@@ -25,23 +25,33 @@ def standard(named: str, subject: str) -> bool:
 
 
 def cyclonedds(named: str, subject: str) -> bool:
-    r"""ac_check_subjects_are_equal, 0.10.2 to 11.0.1 (measured).
+    r"""ac_check_subjects_are_equal of 0.10.2 (measured).
 
     It splits both at each `,` `/` and `|`, and each piece at its first `=`. The grant must
     have all pieces that the certificate has, in any order, and may have more. So
     CN=/robot may use a grant for CN=/robot/admin.
     """
+    return _has_pieces(named, subject, str)
+
+
+def cyclonedds_11(named: str, subject: str) -> bool:
+    """As 0.10, but spaces around a piece's name and value are ignored (11.0.1, measured)."""
+    return _has_pieces(named, subject, lambda text: text.strip(" "))
+
+
+def _has_pieces(named: str, subject: str, trimmed: Callable[[str], str]) -> bool:
     pieces = [piece for piece in _cut(named) if piece]
-    if len(pieces) > _MOST_PARTS:
+    wanted = _cut("".join(map(_escaped, subject)))
+    if wanted[-1] == "":
+        wanted.pop()  # empty text after the last separator is not a piece
+    if len(pieces) > _MOST_PARTS or not all(wanted):
         return False
     values: dict[str, str] = {}
     for piece in pieces:
         word, _, value = piece.partition("=")
-        values.setdefault(word, value)  # of two OUs, only the first counts
-    wanted = _cut("".join(map(_escaped, subject)))
-    if wanted[-1] == "":
-        wanted.pop()  # empty text after the last separator is not a piece
-    return all(piece and _has(values, piece) for piece in wanted)
+        values.setdefault(trimmed(word), trimmed(value))  # of two OUs, only the first counts
+    asked = (piece.partition("=") for piece in wanted)
+    return all(values.get(trimmed(word)) == trimmed(value) for word, _, value in asked)
 
 
 def fastdds(named: str, subject: str) -> bool:
@@ -76,11 +86,6 @@ def _parts(text: str) -> list[str]:
 
 def _cut(text: str) -> list[str]:
     return re.split("[,/|]", text)
-
-
-def _has(values: dict[str, str], piece: str) -> bool:
-    word, _, value = piece.partition("=")
-    return values.get(word) == value
 
 
 def _escaped(character: str) -> str:

@@ -42,7 +42,7 @@ class Interpretation:
     """
 
     name: str
-    """The value of `--as`."""
+    """The value of `--as`: a stack, and after `@` its version if a stack has several rows."""
     title: str
     """The standard or stack, with the version that it was compared with."""
     covers: Covers
@@ -63,6 +63,16 @@ class Interpretation:
     """Topics that are open to all because of their names."""
     join: "dict[Viewpoint, tuple[Check, ...]]"
     use: "dict[Viewpoint, tuple[Check, ...]]"
+
+    @property
+    def stack(self) -> str:
+        """The name of the stack, or of the standard."""
+        return self.name.partition("@")[0]
+
+    @property
+    def version(self) -> str:
+        """The versions of the stack for which it holds, such as 11.0; empty if it has one row."""
+        return self.name.partition("@")[2]
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
         """The grant that applies to the subject, if there is one."""

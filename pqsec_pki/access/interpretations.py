@@ -1,8 +1,13 @@
 """How the standard and the stacks interpret the documents: one row each.
 
-If a row has its own function, the function says how it differs and how that is known:
+Of a stack whose versions differ, each range of versions has a row. If a row has its own function, the function says how it differs and how that is known:
 measured with the stack itself, or read in its source.
 """
+
+import re
+from collections.abc import Collection
+from dataclasses import replace
+from itertools import groupby
 
 from pqsec_pki.access import _criteria, _patterns, _stacks, _subjects, _values
 from pqsec_pki.access._checks import (
@@ -42,7 +47,7 @@ SPEC = Interpretation(
 )
 
 CYCLONEDDS = Interpretation(
-    name=Stack.CYCLONEDDS.value,
+    name=f"{Stack.CYCLONEDDS}@0.10",
     title=f"{Stack.CYCLONEDDS.product} 0.10.2",
     covers=_patterns.cyclonedds,
     governs=_patterns.cyclonedds,
@@ -60,6 +65,14 @@ CYCLONEDDS = Interpretation(
         Viewpoint.PEER: (governed, in_force, remote_participant),
     },
     use=_both(_stacks.cyclonedds_topic, _stacks.cyclonedds_endpoint),
+)
+
+CYCLONEDDS_11 = replace(
+    CYCLONEDDS,
+    name=f"{Stack.CYCLONEDDS}@11.0",
+    title=f"{Stack.CYCLONEDDS.product} 11.0.1",
+    is_for=_subjects.cyclonedds_11,
+    use=_both(_stacks.cyclonedds_11_topic, _stacks.cyclonedds_endpoint),
 )
 
 FASTDDS = Interpretation(
@@ -107,13 +120,39 @@ OPENDDS = Interpretation(
     use=_both(_stacks.opendds_topic, _stacks.opendds_endpoint),
 )
 
-INTERPRETATIONS = (SPEC, CYCLONEDDS, FASTDDS, OPENDDS)
+INTERPRETATIONS = (SPEC, CYCLONEDDS, CYCLONEDDS_11, FASTDDS, OPENDDS)
+"""The rows of a stack are neighbours, the oldest version first."""
 
 
-def interpretation_named(name: str) -> Interpretation:
-    """The interpretation with that `name`; UsageError, with all names, if there is none."""
-    for interpretation in INTERPRETATIONS:
-        if interpretation.name == name:
-            return interpretation
-    names = ", ".join(interpretation.name for interpretation in INTERPRETATIONS)
-    raise UsageError(f"'{name}' is not an interpretation", hint=f"choose from {names}")
+_VERSION = re.compile(r"[0-9]+(\.[0-9]+)*")
+
+
+def names_of(rows: Collection[Interpretation]) -> list[str]:
+    """The values of `--as` that mean these rows: a stack's name if all of its rows are there."""
+    names = list[str]()
+    for stack, group in groupby(INTERPRETATIONS, key=lambda row: row.stack):
+        every = list(group)
+        some = [row.name for row in every if row in rows]
+        names += [stack] if len(some) == len(every) else some
+    return names
+
+
+def interpretations_named(name: str) -> tuple[Interpretation, ...]:
+    """The row of a stack and version, such as `cyclonedds@11.0`; all of its rows for `cyclonedds`.
+
+    UsageError, with all names, if there is none.
+    """
+    stack, at, version = name.partition("@")
+    rows = tuple(row for row in INTERPRETATIONS if row.stack == stack)
+    if at:
+        rows = tuple(row for row in rows if _is_of(version, row.version))
+    if not rows:
+        names = dict.fromkeys(name for row in INTERPRETATIONS for name in (row.stack, row.name))
+        raise UsageError(f"'{name}' is not an interpretation", hint=f"choose from {', '.join(names)}")
+    return rows
+
+
+def _is_of(version: str, known: str) -> bool:
+    """Whether one of the two is the beginning of the other: 11, 11.0 and 11.0.1."""
+    pairs = zip(version.split("."), known.split("."), strict=False)
+    return bool(_VERSION.fullmatch(version)) and all(part == other for part, other in pairs)

@@ -23,7 +23,7 @@ from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.trial import Installation, MissingStackError, find
 from tests.docs.forking import Forks
-from tests.interop.cyclone import find_plugins
+from tests.interop.cyclone import find_plugins, plugins_of
 from tests.interop.est_clients import SUITES, Clients, clients_in, root_of
 from tests.interop.fastdds_meeting import Both, meeting
 from tests.interop.fastdds_shim import FastDdsShim, build, find_compiler
@@ -170,6 +170,14 @@ def plugins(requires) -> Path:
     """The folder of Cyclone DDS's security plugins."""
     remedy = "apt-get install libddsc0debian"
     return requires(find_plugins(), "Cyclone DDS's security plugins", remedy)
+
+
+@pytest.fixture(scope="session")
+def plugins_11(requires) -> Path:
+    """The folder of the plugins of Cyclone DDS 11.0."""
+    remedy = "PQSEC_CYCLONEDDS_11 names the prefix of a build of 11.0 with security"
+    prefix = requires(os.environ.get("PQSEC_CYCLONEDDS_11"), "Cyclone DDS 11.0", remedy)
+    return plugins_of(Path(prefix), "11.0")
 
 
 @pytest.fixture(scope="session")

@@ -6,6 +6,7 @@ are the real ones; the messages are handed over by the test.
 
 import ctypes
 import os
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,6 +68,20 @@ def find_plugins() -> Path | None:
     named = os.environ.get("PQSEC_CYCLONE_PLUGINS")
     folders = [Path(named)] if named else sorted(Path("/usr/lib").glob("*/libddsc0*"))
     return next((each for each in folders if (each / "libdds_security_auth.so").exists()), None)
+
+
+def reported_version(library: Path) -> str:
+    """The version that a library of Cyclone DDS has in itself. AssertionError without one."""
+    found = set(re.findall(rb"\0(\d+\.\d+\.\d+)(?=\0)", library.read_bytes()))
+    assert len(found) == 1, f"{library}: which of {found} is its version?"
+    return found.pop().decode()
+
+
+def plugins_of(prefix: Path, series: str) -> Path:
+    """The folder of the plugins in `prefix`. AssertionError if its version is not of `series`."""
+    version = reported_version(prefix / "lib/libddsc.so")
+    assert version.startswith(f"{series}."), f"{prefix} has Cyclone DDS {version}, not {series}"
+    return prefix / "lib"
 
 
 @contextmanager

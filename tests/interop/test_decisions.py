@@ -16,7 +16,15 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding, NoEncryption, PrivateFormat
 from cryptography.x509.oid import NameOID
 
-from pqsec_pki.access import CYCLONEDDS, FASTDDS, Action, Question, Viewpoint, decide
+from pqsec_pki.access import (
+    CYCLONEDDS,
+    CYCLONEDDS_11,
+    FASTDDS,
+    Action,
+    Question,
+    Viewpoint,
+    decide,
+)
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
 from pqsec_pki.documents.domains import MAX_DOMAIN_ID
@@ -76,6 +84,11 @@ SPELLINGS = (
     "CN=\\ a  b\\ ",
     "gibberish",
     "CN=x" + ",O=x" * 20,
+    "CN=x,foo",
+    "CN=/robot,foo,=",
+    "CN=/x /x",
+    " CN=/robot",
+    "CN=x,  OU = b, OU=  a",
 )
 
 
@@ -107,12 +120,19 @@ def folder(labs, tmp_path):
     return shutil.copytree(labs("classical").alice, tmp_path / "alice")
 
 
-@pytest.fixture(params=[CYCLONEDDS, FASTDDS], ids=lambda interpretation: interpretation.name)
+WITNESSES = {
+    CYCLONEDDS: ("plugins", cyclone_access),
+    CYCLONEDDS_11: ("plugins_11", cyclone_access),
+    FASTDDS: ("fastdds", fastdds_access),
+}
+
+
+@pytest.fixture(params=WITNESSES, ids=lambda interpretation: interpretation.name)
 def witness(request, labs, folder):
     """The reading of a stack, and witness(governance, permissions, domain), the stack itself."""
     interpretation, sign = request.param, labs("classical").sign
-    library = request.getfixturevalue({CYCLONEDDS: "plugins", FASTDDS: "fastdds"}[interpretation])
-    start = {CYCLONEDDS: cyclone_access, FASTDDS: fastdds_access}[interpretation].access_control
+    installed, stack = WITNESSES[interpretation]
+    library, start = request.getfixturevalue(installed), stack.access_control
 
     def witness(governance, permissions, domain):
         (folder / "governance.p7s").write_bytes(sign(governance.to_xml()))
