@@ -9,7 +9,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._rights import Dimensions
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
-from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC
+from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC, names_of
 from pqsec_pki.access.question import MAX_NAME, Action, Question
 from pqsec_pki.documents import MAX_DOMAIN, DomainRange, DomainSet, Governance, Grant, Permissions
 
@@ -26,14 +26,20 @@ _DOMAINS = DomainSet(parts=(DomainRange(first=0, last=MAX_DOMAIN),))
 class StackChange:
     """A question whose answer changed for a stack, but not for the standard."""
 
-    interpretation: Interpretation
+    name: str
+    """As a value of `--as`: without a version if it changed for all versions."""
+    titles: tuple[str, ...]
+    """The stack with each version for which it changed."""
     question: Question
     allowed: bool
     """The new answer."""
 
 
 def stack_changes(old: Grant, new: Grant, dimensions: Dimensions) -> Iterator[StackChange]:
-    """For each stack the first question that it now allows, and the first that it now denies."""
+    """For each stack the first question that it now allows, and the first that it now denies.
+
+    Versions of a stack for which the same answer changed are told together.
+    """
     rules = len(old.rules) + len(new.rules) + 1
     questions = list(
         islice(_questions(new.subject_name, dimensions), min(MOST_ASKED, MOST_WORK // rules))
@@ -41,12 +47,17 @@ def stack_changes(old: Grant, new: Grant, dimensions: Dimensions) -> Iterator[St
     alike = [
         each for each, (before, after) in _answers(old, new, questions, SPEC) if before == after
     ]
+    found: dict[tuple[str, Question, bool], list[Interpretation]] = {}
     for interpretation in INTERPRETATIONS:
         seen = set[bool]()
         for question, (before, after) in _answers(old, new, alike, interpretation):
             if before != after and after not in seen:
                 seen.add(after)
-                yield StackChange(interpretation, question, allowed=after)
+                key = interpretation.stack, question, after
+                found.setdefault(key, []).append(interpretation)
+    for (_, question, allowed), rows in found.items():
+        titles = tuple(row.title for row in rows)
+        yield StackChange(" and ".join(names_of(rows)), titles, question, allowed=allowed)
 
 
 def _answers(

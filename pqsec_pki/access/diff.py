@@ -144,10 +144,10 @@ def _of_stack(found: StackChange) -> Change:
     return Change(
         sense=Sense.GRANTED if found.allowed else Sense.TAKEN,
         subject=question.subject,
-        text=f"in {found.interpretation.title}, unlike the standard, for one: {what}",
+        text=f"in {' and '.join(found.titles)}, unlike the standard, for one: {what}",
         actions=(question.action,),
         domains=where,
-        interpretation=found.interpretation.name,
+        interpretation=found.name,
     )
 
 

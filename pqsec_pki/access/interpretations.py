@@ -1,7 +1,8 @@
 """How the standard and the stacks interpret the documents: one row each.
 
-Of a stack whose versions differ, each range of versions has a row. If a row has its own function, the function says how it differs and how that is known:
-measured with the stack itself, or read in its source.
+Of a stack whose versions differ, each range of versions has a row. If a row has its own function,
+the function says how it differs and how that is known: measured with the stack itself, or read in
+its source.
 """
 
 import re
@@ -148,7 +149,9 @@ def interpretations_named(name: str) -> tuple[Interpretation, ...]:
         rows = tuple(row for row in rows if _is_of(version, row.version))
     if not rows:
         names = dict.fromkeys(name for row in INTERPRETATIONS for name in (row.stack, row.name))
-        raise UsageError(f"'{name}' is not an interpretation", hint=f"choose from {', '.join(names)}")
+        raise UsageError(
+            f"'{name}' is not an interpretation", hint=f"choose from {', '.join(names)}"
+        )
     return rows
 
 

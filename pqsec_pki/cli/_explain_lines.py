@@ -12,11 +12,10 @@ from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Us
 def right_lines(found: RightAnswer) -> Iterator[str]:
     """One line for each topic; those that are denied for one reason are together, before it."""
     word = "YES" if found.allowed else "NO"
-    by = found.uses[0].answers[0].answer.interpretation.title if found.uses else ""
     ends = [end for use in found.uses if (end := use.until(found.policy_input))]
     until = f", until {said(min(ends))}" if found.allowed and ends else ""
     what = f"{printable(found.policy_input.who)}: {printable(found.right.words)}"
-    yield f"{word:<4}  {what}{until}, by {by}"
+    yield f"{word:<4}  {what}{until}, by {', '.join(found.by)}"
     together = dict[str, list[tuple[Use, DomainsAnswer]]]()
     for use in found.uses:
         for each in use.answers:

@@ -9,10 +9,10 @@ from typing import Any
 import click
 
 from pqsec_pki.access import (
-    INTERPRETATIONS,
     Action,
     DocumentOwner,
     Question,
+    interpretations_named,
     is_known,
     topics_named,
 )
@@ -20,6 +20,7 @@ from pqsec_pki.cli import _completion, _explain_asked, _help, _pager, _printing,
 from pqsec_pki.cli._explain_lines import lines_of, right_lines
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._printing import printable
+from pqsec_pki.cli._stack_version import StackVersion
 from pqsec_pki.documents import parse_subject, ros
 from pqsec_pki.errors import MalformedError, UsageError, VerificationError, meant
 from pqsec_pki.keystore import is_several
@@ -100,9 +101,9 @@ Answering = Callable[[PolicyInput], RightAnswer]
 @click.option(
     "--as",
     "stack",
-    type=click.Choice([each.name for each in INTERPRETATIONS]),
-    help="Answer as this stack interprets the documents.  [default: by the standard, with the"
-    " stacks that differ]",
+    type=StackVersion(),
+    help="Answer as this stack interprets the documents, or this version of it.  [default: by the"
+    " standard, with the stacks that differ]",
 )
 @_pager.option
 @_settings.command_options
@@ -122,7 +123,7 @@ def explain(name: str | None, stack: str | None, **asked: Any) -> int:
         answer_right,
         right=_explain_asked.right_asked(asked),
         question=_question(asked, now),
-        stack=stack,
+        chosen=interpretations_named(stack) if stack else (),
         everywhere=asked["domain"] is None,
     )
     names = _participants(asked["participant"])

@@ -1,21 +1,20 @@
 """pqsec who-may: show which participants may publish and subscribe to each topic."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from pathlib import Path
 
 import click
 
 from pqsec_pki.access import (
-    INTERPRETATIONS,
     MAX_NAME,
     Interpretation,
     domains_said,
-    interpretation_named,
+    interpretations_named,
 )
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _ros_patterns, _settings
 from pqsec_pki.cli._printing import printable
+from pqsec_pki.cli._stack_version import StackVersion
 from pqsec_pki.cli._who_may_forms import FORMS, flow_lines
 from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import MissingError, UsageError
@@ -26,8 +25,7 @@ from pqsec_pki.policy import (
     fleet_in,
     fleet_of,
     flows,
-    rows_of,
-    who_may_use,
+    who_may_by_each,
 )
 
 _COLUMNS = ("topic", "domains", "pattern", "asked", "publish", "subscribe")
@@ -124,10 +122,10 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
 @click.option(
     "--as",
     "stack",
-    type=click.Choice([each.name for each in INTERPRETATIONS]),
+    type=StackVersion(),
     default="spec",
     show_default=True,
-    help="Answer as this stack interprets the documents.",
+    help="Answer as this stack interprets the documents, or this version of it.",
 )
 @_formats.option("dot", "md")
 @_pager.option
@@ -156,8 +154,8 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     """
     now = _settings.now()
     where = None if domains is None else DomainSet.parse(domains)
-    interpretation = interpretation_named(stack)
-    fleet = _fleet(paths, governance, now, interpretation)
+    versions = interpretations_named(stack)
+    fleet = _fleet(paths, governance, now, versions)
     form = _formats.chosen(form)
     if matrix and form in {"dot", "md"}:
         raise UsageError("--matrix is printed as table, json or csv")
@@ -166,10 +164,11 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     wanted = (*topics, *dict.fromkeys(named))
     if "" in wanted:
         raise UsageError("the topic is empty")
-    found = who_may_use(fleet, wanted, domains=where, now=now, interpretation=interpretation)
+    found = who_may_by_each(fleet, wanted, domains=where, now=now, versions=versions)
     _note_doubts(found)
     if chosen:
-        found = replace(found, rows=rows_of(found.rows, chosen))
+        found = found.of(chosen)
+    _note_differences(found)
     if matrix:
         _show_matrix(form, found, chosen)
         return
@@ -218,17 +217,29 @@ def _note_doubts(found: WhoMay) -> None:
         _printing.note(f"the governance does not name {words}: no participant can join it")
 
 
+def _note_differences(found: WhoMay) -> None:
+    """A note for each version of the stack that decides differently."""
+    for other in found.others:
+        if topics := found.differing(other):
+            title, name = other.interpretation.title, other.interpretation.name
+            words = _printing.few(list(map(printable, topics)))
+            _printing.note(f"{title} decides differently about {words}: ask with --as {name}")
+
+
 def _fleet(
-    paths: tuple[Path, ...], governance: Path | None, now: datetime, interpretation: Interpretation
+    paths: tuple[Path, ...],
+    governance: Path | None,
+    now: datetime,
+    versions: Sequence[Interpretation],
 ) -> Fleet:
     """The participants, with a note for each assumption and for each that is left out."""
     if governance and not paths:
         raise UsageError("--governance is for files: a keystore has its own governance")
     try:
         fleet = (
-            fleet_of(paths, governance, now, interpretation)
+            fleet_of(paths, governance, now, *versions)
             if paths
-            else fleet_in(_settings.open_keystore(), now, interpretation)
+            else fleet_in(_settings.open_keystore(), now, *versions)
         )
     except MissingError as error:
         error.hint = error.hint or (

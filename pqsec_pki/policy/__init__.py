@@ -39,7 +39,7 @@ if TYPE_CHECKING:
         shared_governance,
     )
     from pqsec_pki.policy.reasons import Explanation, reason_of
-    from pqsec_pki.policy.who_may import Flow, WhoMay, flows, rows_of, who_may_use
+    from pqsec_pki.policy.who_may import Flow, WhoMay, flows, who_may_by_each, who_may_use
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -69,9 +69,9 @@ __all__ = [
     "permissions_in",
     "policy_input_of",
     "reason_of",
-    "rows_of",
     "shared_governance",
     "signed_by",
     "valid_kind",
+    "who_may_by_each",
     "who_may_use",
 ]

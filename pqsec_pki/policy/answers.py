@@ -1,5 +1,6 @@
 """The answer of each stack to one access question, on each domain."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import timedelta
 
@@ -16,7 +17,6 @@ from pqsec_pki.access import (
     Viewpoint,
     domain_set,
     domains_named,
-    interpretation_named,
 )
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
 from pqsec_pki.policy.participants import PolicyInput
@@ -159,18 +159,23 @@ class DomainsAnswer:
 
 
 def answers_by_domain(
-    policy_input: PolicyInput, question: Question, stack: str | None, *, everywhere: bool
+    policy_input: PolicyInput,
+    question: Question,
+    chosen: Sequence[Interpretation],
+    *,
+    everywhere: bool,
 ) -> list[DomainsAnswer]:
     """The answers on all domains that the documents name, or on that of the question.
 
-    Allowed ones come first. By the interpretation of `stack`, or by the standard and all others.
+    Allowed ones come first. By the `chosen` interpretations, the versions of a stack: allowed if
+    each allows it. Without any, by the standard, with all others.
     """
     if not everywhere:
-        return [_answered(policy_input, question, stack, DomainSet(parts=(question.domain,)))]
+        return [_answered(policy_input, question, chosen, DomainSet(parts=(question.domain,)))]
     found: dict[object, list[tuple[DomainRange, DomainsAnswer]]] = {}
     for stretch in domains_named(policy_input.governance.value, policy_input.permissions.value):
         here = replace(question, domain=stretch.first)
-        each = _answered(policy_input, here, stack, DomainSet(parts=(stretch,)))
+        each = _answered(policy_input, here, chosen, DomainSet(parts=(stretch,)))
         found.setdefault(each.merge_key(policy_input), []).append((stretch, each))
     merged = [
         replace(alike[0][1], domains=domain_set([stretch for stretch, _ in alike]))
@@ -180,15 +185,27 @@ def answers_by_domain(
 
 
 def _answered(
-    policy_input: PolicyInput, question: Question, stack: str | None, domains: DomainSet
+    policy_input: PolicyInput,
+    question: Question,
+    chosen: Sequence[Interpretation],
+    domains: DomainSet,
 ) -> DomainsAnswer:
-    interpretation = interpretation_named(stack) if stack else SPEC
-    others = [] if stack else [each for each in INTERPRETATIONS if each is not SPEC]
+    answers = [answer_of(policy_input, question, each) for each in chosen or INTERPRETATIONS]
+    denials = (each for each in answers if not each.decision.allowed)
+    answer = next(denials, answers[0]) if chosen else answers[0]
     join = replace(question, action=Action.JOIN, topic=None)
     return DomainsAnswer(
         question=question,
-        answer=answer_of(policy_input, question, interpretation),
-        others=[answer_of(policy_input, question, each) for each in others],
-        joins=answer_of(policy_input, join, interpretation).decision.allowed,
+        answer=answer,
+        others=[each for each in answers if each is not answer],
+        joins=allows_each(policy_input, join, chosen),
         domains=domains,
     )
+
+
+def allows_each(
+    policy_input: PolicyInput, question: Question, chosen: Sequence[Interpretation]
+) -> bool:
+    """Whether each of the chosen interpretations, or without any the standard, allows it."""
+    answers = (answer_of(policy_input, question, each) for each in chosen or (SPEC,))
+    return all(each.decision.allowed for each in answers)

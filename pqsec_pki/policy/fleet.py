@@ -62,7 +62,7 @@ class Fleet:
 
 
 def fleet_of(
-    paths: tuple[Path, ...], governance: Path | None, now: datetime, reading: Interpretation
+    paths: tuple[Path, ...], governance: Path | None, now: datetime, *readings: Interpretation
 ) -> Fleet:
     """From one keystore, or from files and folders of files.
 
@@ -71,17 +71,17 @@ def fleet_of(
     if len(paths) == 1 and exists(paths[0] / SETTINGS):
         if governance:
             raise UsageError("--governance is for files: a keystore has its own governance")
-        return fleet_in(Keystore.open(paths[0]), now, reading)
+        return fleet_in(Keystore.open(paths[0]), now, *readings)
     return _in_files(paths, governance, now)
 
 
 def fleet_in(
     keystore: Keystore,
     now: datetime,
-    reading: Interpretation,
+    *readings: Interpretation,
     anchors: TrustAnchors | None = None,
 ) -> Fleet:
-    """The participants of a keystore; those without a grant by `reading` are left out.
+    """The participants of a keystore; those without a grant by any of `readings` are left out.
 
     `anchors` are those of the keystore, if they were read before.
     """
@@ -97,7 +97,7 @@ def fleet_in(
             subject = certificate.subject_name
             own = own_permissions(keystore, name, now, check)
             with located(own.path):
-                _refuse_ungranted(own.value, subject, now, reading)
+                _refuse_ungranted(own.value, subject, now, readings)
             if own_governance(keystore, name, governance, check) != governance.value:
                 raise VerificationError("its governance differs from the governance of the others")
         except PqsecError as error:
@@ -116,11 +116,11 @@ def fleet_in(
 
 
 def _refuse_ungranted(
-    permissions: Permissions, subject: str, now: datetime, reading: Interpretation
+    permissions: Permissions, subject: str, now: datetime, readings: Iterable[Interpretation]
 ) -> None:
     """VerificationError if no grant is for the subject."""
     question = Question(subject=subject, domain=0, action=Action.JOIN, now=now)
-    if reading.grant_for(permissions, question) is None:
+    if all(each.grant_for(permissions, question) is None for each in readings):
         raise VerificationError(Problem(f"no grant is for {subject}", Code.NO_GRANT))
 
 

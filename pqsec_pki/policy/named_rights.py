@@ -1,6 +1,6 @@
 """Whether a participant may do what takes several topics, such as to serve a ROS 2 service."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 
@@ -9,14 +9,14 @@ from pqsec_pki.access import (
     SPEC,
     Action,
     DocumentOwner,
+    Interpretation,
     Question,
     domains_named,
-    interpretation_named,
     topics_asked,
     topics_named,
 )
 from pqsec_pki.documents import ros
-from pqsec_pki.policy.answers import DomainsAnswer, answer_of, answers_by_domain
+from pqsec_pki.policy.answers import DomainsAnswer, allows_each, answers_by_domain
 from pqsec_pki.policy.participants import PolicyInput
 
 
@@ -73,6 +73,8 @@ class RightAnswer:
     uses: list[Use]
     allowed: bool
     """Whether all of it is allowed, on at least one domain."""
+    by: tuple[str, ...]
+    """The titles of the interpretations that must allow it."""
 
     def different(self) -> list[str]:
         """The stacks that decide differently about at least one topic."""
@@ -106,32 +108,29 @@ def answer_right(
     policy_input: PolicyInput,
     right: NamedRight,
     question: Question,
-    stack: str | None,
+    chosen: Sequence[Interpretation],
     *,
     everywhere: bool,
 ) -> RightAnswer:
     """The answer for all topics of the right; `question` has the domain, time and tags.
 
     A pattern is all topics and patterns of the participant's rules that it matches; if it matches
-    none, one topic of its own. `stack` and `everywhere` as in `answers_by_domain`.
+    none, one topic of its own. `chosen` and `everywhere` as in `answers_by_domain`.
     """
     own = replace(question, subject=policy_input.subject)
     asked = list(_questions(policy_input, right, own))
     uses = [
-        Use(topic, answers_by_domain(policy_input, each, stack, everywhere=everywhere))
+        Use(topic, answers_by_domain(policy_input, each, chosen, everywhere=everywhere))
         for topic, each in asked
     ]
-    interpretation = interpretation_named(stack) if stack else SPEC
     stretches = domains_named(policy_input.governance.value, policy_input.permissions.value)
     domains = [each.first for each in stretches] if everywhere else [question.domain]
     allowed = any(
-        all(
-            answer_of(policy_input, replace(each, domain=domain), interpretation).decision.allowed
-            for _, each in asked
-        )
+        all(allows_each(policy_input, replace(each, domain=domain), chosen) for _, each in asked)
         for domain in domains
     )
-    return RightAnswer(policy_input, right, uses, allowed)
+    by = tuple(each.title for each in chosen or (SPEC,))
+    return RightAnswer(policy_input, right, uses, allowed, by)
 
 
 def _questions(

@@ -1,7 +1,8 @@
 """Which participants may publish and subscribe to each topic."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
@@ -41,6 +42,8 @@ class WhoMay:
     """The domains of `domains` that the governance does not name."""
     until: dict[str, datetime]
     """The end of each participant's rights: of its grant, its certificate or a CA."""
+    others: "tuple[WhoMay, ...]" = ()
+    """The answers by other versions of the stack."""
 
     @property
     def too_long(self) -> list[str]:
@@ -58,7 +61,25 @@ class WhoMay:
             "left_out": self.fleet.refused,
             "topics": list(self.rows_as_json()),
             "unknown_topics": self.unknown,
+            "others": [
+                {
+                    "as": other.interpretation.name,
+                    "differs": (differing := self.differing(other)),
+                    "topics": [each for each in other.rows_as_json() if each["topic"] in differing],
+                }
+                for other in self.others
+            ],
         }
+
+    def differing(self, other: "WhoMay") -> list[str]:
+        """The topics whose rows differ in another answer."""
+        mine, theirs = _rows_by_topic(self.rows), _rows_by_topic(other.rows)
+        return [topic for topic in mine | theirs if mine.get(topic) != theirs.get(topic)]
+
+    def of(self, names: Collection[str]) -> "WhoMay":
+        """Only the rows, also of the others, in which one of these participants is named."""
+        others = tuple(each.of(names) for each in self.others)
+        return replace(self, rows=_rows_of(self.rows, names), others=others)
 
     def rows_as_json(self) -> Iterator[dict[str, object]]:
         """One object for each row."""
@@ -119,7 +140,14 @@ def flows(rows: Iterable[Placed]) -> list[Flow]:
     ]
 
 
-def rows_of(rows: Iterable[Placed], names: Iterable[str]) -> list[Placed]:
+def _rows_by_topic(rows: Iterable[Placed]) -> dict[str, list[Placed]]:
+    found: dict[str, list[Placed]] = {}
+    for each in rows:
+        found.setdefault(each.row.topic, []).append(each)
+    return found
+
+
+def _rows_of(rows: Iterable[Placed], names: Iterable[str]) -> list[Placed]:
     """The rows in which one of these participants may publish or subscribe."""
     wanted = set(names)
     return [
@@ -167,6 +195,22 @@ def who_may_use(
         ungoverned=domains_ungoverned(fleet.governance, domains) if domains else [],
         until=dict(_ends(fleet, now, interpretation)),
     )
+
+
+def who_may_by_each(
+    fleet: Fleet,
+    topics: tuple[str, ...],
+    *,
+    domains: DomainSet | None,
+    now: datetime,
+    versions: Sequence[Interpretation],
+) -> WhoMay:
+    """The answer by the first version of a stack, with those by the others."""
+    found, *others = (
+        who_may_use(fleet, topics, domains=domains, now=now, interpretation=each)
+        for each in versions
+    )
+    return replace(found, others=tuple(others))
 
 
 def _ends(

@@ -121,7 +121,7 @@ class _ReportMaker:
         keystore, now = self.keystore, self.now
         anchors = self.part(RIGHTS, lambda: replace(keystore.anchors, remembers_all=True))
         checked = self.part(FINDINGS, lambda: check([keystore.root], now=now, anchors=anchors))
-        fleet = self.of(anchors, RIGHTS, lambda read: fleet_in(keystore, now, SPEC, read))
+        fleet = self.of(anchors, RIGHTS, lambda read: fleet_in(keystore, now, SPEC, anchors=read))
         return checked, fleet
 
     def note_unread(self, checked: LintReport) -> None:

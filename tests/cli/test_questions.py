@@ -32,6 +32,7 @@ from tests.cli.conftest import command_of
 NOW = datetime.now(UTC)
 ZERO = DomainSet.of(0)
 FILES = "explain --governance g.xml --permissions p.xml"
+CYCLONE = ("cyclonedds@0.10", "cyclonedds@11.0")
 HOSTILE_TOPICS = ('a"];x&lt;<b>|`_\n', "*[label=\\N")
 HOSTILE_SUBJECT = r"CN=a\"];x\N&lt;<b>|`*_"
 QUOTED = r'"(?:[^"\\]|\\.)*"'
@@ -86,9 +87,9 @@ def grant(*rules, subject="CN=/robot", days=300):
     )
 
 
-def rule(*topics, allow=True, domains=ZERO, partitions=()):
+def rule(*topics, allow=True, domains=ZERO, partitions=(), action="publish"):
     criteria = Criteria(topics=topics, partitions=partitions)
-    return PermissionRule(allow=allow, domains=domains, publish=(criteria,))
+    return PermissionRule(allow=allow, domains=domains, **{action: (criteria,)})
 
 
 def permissions(*rules, **more):
@@ -224,11 +225,16 @@ def test_blank_lines_beyond_number_are_refused_at_once(pqsec, tmp_path):
         (
             [rule("a", allow=False, partitions=("P",)), rule("a")],
             "a",
-            {"cyclonedds", "fastdds", "opendds"},
+            {*CYCLONE, "fastdds", "opendds"},
         ),
-        ([rule("a")], "a --tag k=v", {"cyclonedds", "fastdds"}),
+        (
+            [rule("a", allow=False, action="subscribe"), rule("a")],
+            "a",
+            {"cyclonedds@0.10"},
+        ),
+        ([rule("a")], "a --tag k=v", {*CYCLONE, "fastdds"}),
         ([rule("a", domains=DomainSet(parts=(DomainRange(first=0),)))], "a --domain 1", set()),
-        ([rule("[^b]")], "a", {"cyclonedds", "opendds"}),
+        ([rule("[^b]")], "a", {*CYCLONE, "opendds"}),
     ],
 )
 def test_stacks_that_decide_otherwise_are_told_with_the_reason(pqsec, put, rules, asked, otherwise):
@@ -255,6 +261,88 @@ def test_one_reading_alone_may_be_asked(pqsec, policy, interpretation):
     assert "otherwise" not in said
 
 
+@pytest.fixture
+def asymmetric(put):
+    """The documents of a participant that may publish a topic, but not subscribe to it."""
+    put("g", Governance.protected(ZERO))
+    put("p", permissions(rule("a", allow=False, action="subscribe"), rule("a"), rule("b")))
+
+
+@pytest.mark.parametrize(
+    ("stack", "code", "by"),
+    [
+        ("cyclonedds@0.10", 1, "Cyclone DDS 0.10.2"),
+        ("cyclonedds@0.10.5", 1, "Cyclone DDS 0.10.2"),
+        ("cyclonedds@11.0", 0, "Cyclone DDS 11.0.1"),
+        ("cyclonedds@11", 0, "Cyclone DDS 11.0.1"),
+        ("cyclonedds@11.0.1", 0, "Cyclone DDS 11.0.1"),
+    ],
+)
+def test_a_version_of_a_stack_is_asked_alone(pqsec, asymmetric, stack, code, by):
+    said = pqsec(f"{FILES} --publish a --as {stack}")
+    assert (said.code, f"by {by}\n" in said.out) == (code, True)
+    assert "differently" not in said.out
+    found = pqsec(f"who-may p.xml g.xml --topic a --as {stack} --json").done()
+    assert found.json["topics"][0]["publish"] == ([] if code else ["CN=/robot"])
+    assert (found.json["others"], "differently" in found.err) == ([], False)
+
+
+def test_a_stack_without_a_version_is_all_of_them_and_the_one_that_differs_is_told(
+    pqsec, asymmetric
+):
+    said = pqsec(f"{FILES} --publish a --as cyclonedds")
+    assert said.code == 1
+    assert said.out.startswith("NO    CN=/robot: publish a, domain 0, by Cyclone DDS 0.10.2\n")
+    assert "YES   Cyclone DDS 11.0.1 decides differently\n" in said.out
+    found = pqsec(f"{FILES} --publish a --as cyclonedds --json").json
+    assert (found["allowed"], found["as"]) == (False, "cyclonedds@0.10")
+    others = [(each["as"], each["allowed"], each["differs"]) for each in found["others"]]
+    assert others == [("cyclonedds@11.0", True, True)]
+
+
+def test_a_stack_whose_versions_agree_says_so(pqsec, asymmetric):
+    said = pqsec(f"{FILES} --publish b --as cyclonedds").done()
+    assert "by Cyclone DDS 0.10.2\n" in said.out
+    assert "same  Cyclone DDS 11.0.1\n" in said.out
+    several = pqsec(f"{FILES} --publish '[ab]' --as cyclonedds")
+    assert several.code == 1
+    assert "by Cyclone DDS 0.10.2, Cyclone DDS 11.0.1\n" in several.out
+    assert "Cyclone DDS 11.0.1: decided differently" in several.out
+
+
+def test_who_may_tells_the_topics_about_which_versions_of_a_stack_differ(pqsec, asymmetric):
+    said = pqsec("who-may p.xml g.xml --as cyclonedds --json").done()
+    rows = {each["topic"]: each["publish"] for each in said.json["topics"]}
+    assert (said.json["as"], rows) == ("cyclonedds@0.10", {"a": [], "b": ["CN=/robot"]})
+    [other] = said.json["others"]
+    assert (other["as"], other["differs"]) == ("cyclonedds@11.0", ["a"])
+    assert [each["publish"] for each in other["topics"]] == [["CN=/robot"]]
+    words = "Cyclone DDS 11.0.1 decides differently about a: ask with --as cyclonedds@11.0"
+    for form in ("table", "csv", "md"):
+        assert words in pqsec(f"who-may p.xml g.xml --as cyclonedds --format {form}").done().err
+    assert words in pqsec("who-may p.xml g.xml --as cyclonedds --matrix").done().err
+    assert "differently" not in pqsec("who-may p.xml g.xml --topic b --as cyclonedds").done().err
+
+
+def test_who_has_a_grant_by_one_version_alone_is_not_left_out(pqsec, keystore):
+    """11.0 ignores the spaces in the subject of /talker's documents; 0.10 finds no grant."""
+    enclave = keystore() / "enclaves/talker"
+    text = (enclave / "permissions.xml").read_text().replace("CN=/talker", "CN = /talker")
+    (enclave / "permissions.xml").write_text(text)
+    pqsec("-k k sign-permissions k/enclaves/talker/permissions.xml --force").done()
+    said = pqsec("-k k who-may --topic rt/chatter --as cyclonedds --json").done().json
+    [other] = said["others"]
+    assert said["left_out"] == {}
+    assert "/talker" not in said["topics"][0]["publish"]
+    assert "/talker" in other["topics"][0]["publish"]
+
+
+def test_a_version_that_no_row_is_for_is_refused_with_those_that_are(pqsec, asymmetric):
+    for name in ("cyclonedds@0.9", "cyclonedds@", "fastdds@3.6"):
+        said = pqsec(f"who-may p.xml g.xml --as {name}")
+        assert (said.code, "'cyclonedds@0.10', 'cyclonedds@11.0'" in said.err) == (2, True)
+
+
 def test_a_stack_of_which_only_one_side_refuses_is_told_so(pqsec, policy):
     said = pqsec(f"{FILES} --publish chatter --as opendds")
     assert said.code == 1
@@ -263,7 +351,7 @@ def test_a_stack_of_which_only_one_side_refuses_is_told_so(pqsec, policy):
 
 def test_a_stack_that_would_let_it_on_its_own_side_is_noted(pqsec, policy):
     said = pqsec(f"{FILES} --join --domain 7")
-    assert "same  Cyclone DDS 0.10.2, Fast DDS 2.9.1" in said.out
+    assert "same  Cyclone DDS 0.10.2, Cyclone DDS 11.0.1, Fast DDS 2.9.1" in said.out
     assert "note  Fast DDS 2.9.1: its own stack would allow it, its peers refuse" in said.out
 
 
@@ -878,7 +966,8 @@ def test_a_change_of_order_that_only_stacks_see_is_told(pqsec, put):
     said = pqsec("diff p.xml q.xml")
     assert said.code == 1
     assert said.out.startswith("no change by the standard, but in stacks")
-    assert "in Cyclone DDS 0.10.2, unlike the standard, for one: publish 'a'" in said.out
+    versions = "Cyclone DDS 0.10.2 and Cyclone DDS 11.0.1"
+    assert f"in {versions}, unlike the standard, for one: publish 'a'" in said.out
     found = pqsec("diff p.xml q.xml --json").json
     assert {change["as"] for change in found["changes"]} == {"cyclonedds", "fastdds"}
 

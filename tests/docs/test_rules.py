@@ -53,7 +53,7 @@ def parts(interpretation):
 def test_each_divergence_of_a_reading_has_its_rule_or_a_reason_for_none(interpretation):
     standard, own = parts(SPEC), parts(interpretation)
     told = {
-        field for habit in HABITS if habit.stack == interpretation.name for field in habit.fields
+        field for habit in HABITS if habit.stack == interpretation.stack for field in habit.fields
     }
     assert {field for field in own if own[field] != standard[field]} == told
 

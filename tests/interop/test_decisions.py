@@ -29,6 +29,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
 from pqsec_pki.documents.domains import MAX_DOMAIN_ID
 from tests.interop import cyclone_access, fastdds_access
+from tests.interop.cyclone import plugins_of
 from tests.interop.policies import DOMAINS, EVERYWHERE, Maker, questions
 from tests.longer import LONG
 
@@ -141,6 +142,15 @@ def witness(request, labs, folder):
 
     witness.interpretation = interpretation
     return witness
+
+
+def test_a_library_of_another_version_is_not_asked(plugins, tmp_path):
+    [library] = plugins.parent.glob("libddsc.so.0.10.*")
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "lib/libddsc.so").symlink_to(library)
+    with pytest.raises(AssertionError, match=r"has Cyclone DDS 0\.10\.[0-9]+, not 11\.0"):
+        plugins_of(tmp_path, "11.0")
+    assert plugins_of(tmp_path, "0.10") == tmp_path / "lib"
 
 
 def test_a_stack_answers_as_its_reading(witness):

@@ -103,7 +103,7 @@ def test_a_stack_that_reads_otherwise_is_told_of(interpretation, tmp_path):
     ours = {
         id_
         for habit in HABITS
-        if habit.stack in {interpretation.name, "all"}
+        if habit.stack in {interpretation.stack, "all"}
         for id_ in habit.rules
     }
     quiet = loud = 0
@@ -111,7 +111,7 @@ def test_a_stack_that_reads_otherwise_is_told_of(interpretation, tmp_path):
         policy = governance(chance), permissions(chance)
         for name, document in zip(("governance.xml", "permissions.xml"), policy, strict=True):
             (tmp_path / name).write_bytes(document.to_xml())
-        findings = check([tmp_path], now=NOW, targets=[Stack(interpretation.name)]).findings
+        findings = check([tmp_path], now=NOW, targets=[Stack(interpretation.stack)]).findings
         if ours & {each.rule.id for each in findings}:
             loud += differs(policy, interpretation)
         else:

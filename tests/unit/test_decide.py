@@ -7,6 +7,7 @@ import pytest
 
 from pqsec_pki.access import (
     CYCLONEDDS,
+    CYCLONEDDS_11,
     FASTDDS,
     INTERPRETATIONS,
     OPENDDS,
@@ -17,7 +18,8 @@ from pqsec_pki.access import (
     Question,
     Viewpoint,
     decide,
-    interpretation_named,
+    interpretations_named,
+    names_of,
 )
 from pqsec_pki.access import _patterns as patterns
 from pqsec_pki.access._expressions import Budget, meets, within
@@ -39,7 +41,7 @@ DAY = timedelta(days=1)
 SUBJECT = "CN=/robot"
 HERE, ELSEWHERE = DomainSet.of(0), DomainSet.of(5)
 PUBLISH, SUBSCRIBE, RELAY, JOIN = Action
-ALL_NAMES = ("spec", "cyclonedds", "fastdds", "opendds")
+ALL_NAMES = ("spec", "cyclonedds@0.10", "cyclonedds@11.0", "fastdds", "opendds")
 
 
 RULES = (PermissionRule(allow=True, domains=HERE, publish=(Criteria(topics=("a",)),)),)
@@ -397,7 +399,22 @@ CASES = {
     "a deny_rule for subscribers": (
         [deny(subscribe=criteria("a")), allow(*criteria("a"))],
         {},
-        "spec fastdds opendds",
+        "spec cyclonedds@11.0 fastdds opendds",
+    ),
+    "a deny_rule for publishers, in a partition, where the default allows subscribing": (
+        [deny(*criteria("a"))],
+        {"partitions": ("P",), "default": DefaultAction.ALLOW},
+        "cyclonedds@11.0",
+    ),
+    "deny_rules for both, the one for subscribers below an allow_rule": (
+        [deny(*criteria("a")), allow(subscribe=criteria("a")), deny(subscribe=criteria("a"))],
+        {"action": SUBSCRIBE},
+        "spec cyclonedds@11.0 fastdds opendds",
+    ),
+    "a deny_rule for publishers above an allow_rule for both": (
+        [deny(*criteria("a", partitions=("Q",))), allow(*criteria("a"))],
+        {},
+        "spec opendds",
     ),
     "the topic in one place and its partition in another": (
         [allow(*criteria("a"), *criteria("b", partitions=("P",)))],
@@ -531,16 +548,14 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_who_says_yes(case):
     rules, asked, wanted = CASES[case]
-    said = [
-        each.name for each in INTERPRETATIONS if ask(*rules, interpretation=each, **asked).allowed
-    ]
-    assert said == wanted.split()
+    said = [each for each in INTERPRETATIONS if ask(*rules, interpretation=each, **asked).allowed]
+    assert names_of(said) == wanted.split()
 
 
 SUBJECTS = {
     "CN=/robot,O=Lab": "spec cyclonedds fastdds",
     "O=Lab,CN=/robot": "spec cyclonedds opendds",
-    "CN=/robot, O=Lab": "spec fastdds",
+    "CN=/robot, O=Lab": "spec cyclonedds@11.0 fastdds",
     "/O=Lab/CN=/robot": "spec cyclonedds opendds",
     "CN=/robot/admin,O=Lab": "cyclonedds",
     "CN=/robot": "",
@@ -555,11 +570,9 @@ def test_whose_grant_it_is(named):
     asked = question(subject="CN=/robot,O=Lab")
     permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
     found = [
-        each.name
-        for each in INTERPRETATIONS
-        if decide(governance(), permissions, asked, each).allowed
+        each for each in INTERPRETATIONS if decide(governance(), permissions, asked, each).allowed
     ]
-    assert found == SUBJECTS[named].split()
+    assert names_of(found) == SUBJECTS[named].split()
 
 
 def test_a_peer_joins_where_join_access_control_is_off_or_its_grant_says_so():
@@ -597,11 +610,11 @@ def test_a_subject_outside_ascii_is_spelled_for_each_stack():
     for named, wanted in (("CN=ñ", ["spec", "fastdds"]), ("CN=\\C3\\B1", None)):
         permissions = Permissions(grants=(grant(allow(*criteria("a")), subject=named),))
         found = [
-            each.name
+            each
             for each in INTERPRETATIONS
             if decide(governance(), permissions, asked, each).allowed
         ]
-        assert found == (wanted or ["spec", "cyclonedds", "opendds"])
+        assert names_of(found) == (wanted or ["spec", "cyclonedds", "opendds"])
 
 
 @pytest.mark.parametrize(
@@ -618,11 +631,11 @@ def test_a_grant_in_force(times, wanted):
     start, end = (NOW + DAY * each for each in times)
     permissions = Permissions(grants=(grant(allow(*criteria("a")), start=start, end=end),))
     said = [
-        each.name
+        each
         for each in INTERPRETATIONS
         if decide(governance(), permissions, question(), each).allowed
     ]
-    assert said == wanted.split()
+    assert names_of(said) == wanted.split()
 
 
 def test_a_grant_for_ever_is_over_for_cyclone_dds():
@@ -829,7 +842,32 @@ def test_a_subject_that_is_no_name_is_refused(interpretation):
 
 
 def test_a_reading_is_found_by_its_name():
-    assert tuple(interpretation_named(name) for name in ALL_NAMES) == INTERPRETATIONS
+    named = [interpretations_named(name) for name in ALL_NAMES]
+    assert named == [(row,) for row in INTERPRETATIONS]
+    assert [names_of(rows) for rows in named] == [[name] for name in ALL_NAMES]
+
+
+@pytest.mark.parametrize(
+    ("name", "rows"),
+    [
+        ("cyclonedds", (CYCLONEDDS, CYCLONEDDS_11)),
+        ("cyclonedds@0.10.5", (CYCLONEDDS,)),
+        ("cyclonedds@11", (CYCLONEDDS_11,)),
+        ("cyclonedds@11.0.1", (CYCLONEDDS_11,)),
+    ],
+)
+def test_a_version_is_within_its_row_and_a_stack_has_all_of_its_rows(name, rows):
+    assert interpretations_named(name) == rows
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("connext", "cyclonedds@", "cyclonedds@0.9", "cyclonedds@0.1", "cyclonedds@11.1"),
+        *("cyclonedds@11.", "cyclonedds@11.0.x", "cyclonedds@1", "@11.0", "spec@", "spec@1.1", ""),
+    ],
+)
+def test_a_version_without_a_row_is_refused(name):
     with pytest.raises(UsageError) as error:
-        interpretation_named("connext")
-    assert "cyclonedds" in error.value.hint
+        interpretations_named(name)
+    assert "spec, cyclonedds, cyclonedds@0.10, cyclonedds@11.0, fastdds" in error.value.hint

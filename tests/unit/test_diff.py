@@ -222,7 +222,7 @@ def test_a_change_of_form_that_changes_no_right_is_none(old, new):
             [allow("a"), deny("a", partitions=("P",))],
             [
                 f"granted: in {title}, unlike the standard, for one: publish 'a' on domain 0"
-                for title in ("Cyclone DDS 0.10.2", "Fast DDS 2.9.1")
+                for title in ("Cyclone DDS 0.10.2 and Cyclone DDS 11.0.1", "Fast DDS 2.9.1")
             ],
         ),
         ([allow("a"), allow("b")], [allow("b", "a")], []),
@@ -231,7 +231,7 @@ def test_a_change_of_form_that_changes_no_right_is_none(old, new):
             [allow("a"), deny("a", partitions=("P",)), deny("b", partitions=("P",)), allow("b")],
             [
                 f"{sense}: in {title}, unlike the standard, for one: publish '{topic}' on domain 0"
-                for title in ("Cyclone DDS 0.10.2", "Fast DDS 2.9.1")
+                for title in ("Cyclone DDS 0.10.2 and Cyclone DDS 11.0.1", "Fast DDS 2.9.1")
                 for sense, topic in (("granted", "a"), ("taken away", "b"))
             ],
         ),
@@ -241,6 +241,14 @@ def test_what_changes_for_a_stack_alone_is_told_as_that(old, new, words):
     changes = permissions_diff(document(*old), document(*new)).changes
     alone = [change for change in changes if change.interpretation != "spec"]
     assert [f"{change.sense}: {change.text}" for change in alone] == words
+
+
+def test_what_changes_for_one_version_of_a_stack_alone_is_told_with_the_version():
+    denied = (Criteria(topics=("a",)),)
+    rules = [PermissionRule(allow=False, domains=ZERO, subscribe=denied), allow("a")]
+    [change] = permissions_diff(document(*rules), document(*rules[::-1])).changes
+    assert change.interpretation == "cyclonedds@0.10"
+    assert change.text.startswith("in Cyclone DDS 0.10.2, unlike the standard, for one: publish")
 
 
 def test_a_default_that_allows_is_told_as_topics_that_no_rule_names():

@@ -219,7 +219,7 @@ def test_no_stack_is_named_outside_the_one_table():
 def test_every_row_of_a_room_is_for_a_stack_of_the_table():
     assert [each.stack for each in EXPORTERS] == list(Stack)
     assert {stack for each in messages() for stack in each.stacks} == {*STACKS_WITH_MESSAGES}
-    rows = {each.name.partition("-")[0] for each in (*INTERPRETATIONS, *SIMULATED)}
+    rows = {re.split("[-@]", each.name)[0] for each in (*INTERPRETATIONS, *SIMULATED)}
     assert rows - {SPEC.name, PQSEC.name} < {*Stack}
 
 

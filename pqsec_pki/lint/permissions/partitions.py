@@ -98,8 +98,9 @@ def default_partition(document: PermissionsFile) -> Iterator[Violation]:
 @lint_rule(
     "PQS256", WARNING, "a deny_rule for some partitions only",
     why="Cyclone DDS and Fast DDS deny the topic in every partition. OpenDDS denies it only in"
-    " these partitions, as does Cyclone DDS if an earlier allow_rule names the topic. Both compare"
-    " names: an endpoint in partition secre? or s* avoids a deny_rule for secret.",
+    " these partitions, as does Cyclone DDS 0.10 if an earlier allow_rule names the topic, and 11.0"
+    " if the other action is allowed. Both compare names: an endpoint in partition secre? or s*"
+    " avoids a deny_rule for secret.",
     fix="Name the partitions in an allow_rule instead, and deny the topic without partitions.",
     rows=("deny T only in partition Q, endpoint in none",), measured="all six stacks",
     bad="""

@@ -64,11 +64,11 @@ def _entries(grant: Grant) -> list[_Entry]:
 
 @lint_rule(
     "PQS270", _WARNING, "a deny_rule that also denies the other action",
-    why="Cyclone DDS first checks whether a participant may have the topic at all. The first rule"
-    " that names the topic decides, for publishing and for subscribing. A participant that may not"
-    " publish a topic cannot subscribe to it either.",
+    why="Cyclone DDS 0.10 first checks whether a participant may have the topic at all. The first"
+    " rule that names the topic decides, for publishing and for subscribing. A participant that may"
+    " not publish a topic cannot subscribe to it either. Since 11.0 it can.",
     fix="Move the allow_rule before the deny_rule.",
-    stacks=(Stack.CYCLONEDDS,), measured=_CYCLONE,
+    stacks=(Stack.CYCLONEDDS,), measured=f"{_CYCLONE}; 11.0.1 allows it",
     bad="""
         <deny_rule>
           <domains><id>0</id></domains>
@@ -106,7 +106,7 @@ def denies_both(document: PermissionsFile) -> Iterator[Violation]:
             ):
                 yield document.at(
                     entry.criteria.line,
-                    f"Cyclone DDS does not let it {other} {entry.topic!a} either",
+                    f"Cyclone DDS 0.10 does not let it {other} {entry.topic!a} either",
                 )
 
 
@@ -173,11 +173,12 @@ def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
     "PQS272", _WARNING, "a deny_rule without partitions",
     why="A deny_rule without partitions applies to all partitions. In Cyclone DDS it applies only"
     " to endpoints without a partition. An endpoint in a partition is allowed by the default, or by"
-    " a later allow_rule with partitions. The check of the topic denies it only if no earlier"
-    " allow_rule names the topic and governance controls both reading and writing.",
+    " a later allow_rule with partitions. The check of the topic denies it only if governance"
+    " controls both reading and writing and, in 0.10, no earlier allow_rule names the topic; in"
+    " 11.0, if the other action is denied too.",
     fix="Write default DENY and allow only what is needed. Or name the partitions in the deny_rule"
     " too; <partition>*</partition> means all.",
-    stacks=(Stack.CYCLONEDDS,), measured=_CYCLONE,
+    stacks=(Stack.CYCLONEDDS,), measured=f"{_CYCLONE}, 11.0.1",
     bad="""
         <allow_rule>
           <domains><id>0</id></domains>
