@@ -123,8 +123,8 @@ def folder(labs, tmp_path):
 
 WITNESSES = {
     CYCLONEDDS: ("plugins", cyclone_access),
-    CYCLONEDDS_11: ("plugins_11", cyclone_access),
     FASTDDS: ("fastdds", fastdds_access),
+    CYCLONEDDS_11: ("plugins_11", cyclone_access),
 }
 
 
