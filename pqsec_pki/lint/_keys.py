@@ -1,5 +1,6 @@
 """The key of a certificate: its kind, and what it signed."""
 
+import re
 from functools import lru_cache
 
 from cryptography import x509
@@ -20,7 +21,18 @@ _CURVES = {
     "1.3.132.0.10": "secp256k1",
     "1.3.132.0.33": "ecdsa-p224",
     "1.3.132.0.35": "ecdsa-p521",
+    "1.2.840.10045.3.1.1": "ecdsa-p192",
+    "1.3.132.0.8": "secp160r1",
+    "1.3.132.0.9": "secp160k1",
+    "1.3.132.0.30": "secp160r2",
+    "1.3.132.0.31": "secp192k1",
+    "1.3.132.0.32": "secp224k1",
+    "1.3.36.3.3.2.8.1.1.1": "brainpoolP160r1",
+    "1.3.36.3.3.2.8.1.1.3": "brainpoolP192r1",
+    "1.3.36.3.3.2.8.1.1.5": "brainpoolP224r1",
 }
+"""Also curves of OpenSSL that nobody should use."""
+WEAK_CURVES = frozenset(name for name in _CURVES.values() if re.search("160|192|224", name))
 
 
 def is_ca(certificate: Certificate) -> bool:

@@ -16,7 +16,7 @@ from pqsec_pki.errors import PqsecError, UsageError
 from pqsec_pki.tokens import _signers
 from pqsec_pki.tokens.pin import Pin, stored_pin
 from pqsec_pki.tokens.reference import is_reference, reference_to, uri_in
-from pqsec_pki.tokens.uri import SCHEME, KeyUri
+from pqsec_pki.tokens.uri import SCHEME, KeyUri, usable
 
 
 def find_key(uri: str, pin: Pin = stored_pin) -> ExternalKey:
@@ -72,7 +72,7 @@ def made_keys(
     A key that its token does not have is generated there; such keys are removed again if the
     block fails. Errors as of `find_key`; UsageError also for a key of another algorithm.
     """
-    uris = [uri for uri, _ in wanted.values()]
+    uris = [usable(uri) for uri, _ in wanted.values()]
     if len({*uris}) < len(uris):
         raise UsageError(
             "one key is named twice: with one key for two CAs, a participant's key could sign"

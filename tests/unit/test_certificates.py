@@ -435,6 +435,23 @@ def test_an_unknown_critical_extension_of_the_authority_is_refused(ca):
     assert problem == "the CA certificate has an unknown critical extension 1.2.3"
 
 
+LIMITS = {
+    "nameConstraints": x509.NameConstraints([x509.DNSName("lab")], None),
+    "policyConstraints": x509.PolicyConstraints(0, None),
+    "inhibitAnyPolicy": x509.InhibitAnyPolicy(0),
+}
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+def test_limits_of_an_authority_that_nothing_here_enforces_are_refused(ca, limit):
+    """Who set critical ones would believe that they limit what the CA may issue."""
+    value = LIMITS[limit]
+    limits = extension(value.oid.dotted_string, value.public_bytes(), critical=True)
+    limited = rebuilt(ca.certificate, ca.key, add=[limits])
+    words = f"the CA certificate has an unknown critical extension {value.oid.dotted_string}"
+    assert problems(issue(ca), limited) == (words,)
+
+
 def test_a_participant_that_may_not_sign_is_refused(ca):
     leaf = rebuilt(issue(ca), ca.key, drop=["2.5.29.15"], add=[usage(key_encipherment=True)])
     [problem] = problems(leaf, ca.certificate)
@@ -594,6 +611,17 @@ def test_an_alternative_signature_by_another_authority_is_refused(double_ca):
     mixed = Authority(double_ca.certificate, double_ca.key, other.alternative_key)
     [problem] = problems(issue(mixed, alternative="ml-dsa-65"), double_ca.certificate)
     assert "bad ml-dsa-65 signature" in problem
+
+
+@pytest.mark.parametrize("check", ["verify_signature", "verify_alternative"])
+def test_a_signer_whose_signature_was_refused_is_refused_again(double_ca, check):
+    """Only a good signature is remembered."""
+    leaf, other = issue(double_ca, alternative="ml-dsa-65"), authority_of(alternative="ml-dsa-65")
+    keys = {"verify_signature": "public_key", "verify_alternative": "alternative_key"}
+    for _ in range(2):
+        with pytest.raises(VerificationError, match=r"bad .* signature"):
+            getattr(leaf, check)(getattr(other.certificate, keys[check]))
+        getattr(leaf, check)(getattr(double_ca.certificate, keys[check]))
 
 
 def test_an_alternative_signature_marked_with_another_algorithm_is_refused(double_ca):

@@ -575,6 +575,12 @@ def test_whose_grant_it_is(named):
     assert names_of(found) == SUBJECTS[named].split()
 
 
+def test_a_grant_whose_subject_cannot_be_read_is_for_nobody_by_the_standard():
+    """Both texts have no parts, which made them equal."""
+    for named, subject in (("gibberish", "gibberish"), ("gibberish", "CN=x"), ("CN=x", "")):
+        assert not SPEC.is_for(named, subject)
+
+
 def test_a_peer_joins_where_join_access_control_is_off_or_its_grant_says_so():
     for join, rules, allowed in ((True, (), False), (False, (), True), (True, RULES, True)):
         for each in INTERPRETATIONS:

@@ -5,6 +5,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from datetime import UTC, datetime, timedelta, timezone
+from itertools import permutations
 from pathlib import Path
 
 import pytest
@@ -525,6 +526,20 @@ def test_all_spellings_of_a_name_are_the_same(text):
 )
 def test_a_name_with_other_fewer_or_more_parts_is_another(text):
     assert not same_subject(parse_subject(text), parse_subject("CN=x,O=Lab,C=ES"))
+
+
+def test_the_same_parts_in_an_order_of_their_own_are_another_name():
+    """Only the two orders that stacks write are the same name."""
+    parts = ("CN=x", "OU=a", "OU=b", "C=ES")
+    name = parse_subject(",".join(parts))
+    for order in permutations(parts):
+        same = order in {parts, parts[::-1]}
+        assert same_subject(parse_subject(",".join(order)), name) is same
+
+
+def test_two_names_that_cannot_be_read_are_not_the_same():
+    assert not same_subject((), ())
+    assert not same_subject((), parse_subject("CN=x"))
 
 
 @pytest.mark.parametrize(

@@ -190,6 +190,24 @@ def test_a_first_message_from_another_than_the_peer_confirms_nobody(meeting):
         confirmed(meeting.bob.guid, other, sealed)
 
 
+@pytest.mark.parametrize("octet", range(16))
+def test_a_first_message_of_a_guid_that_differs_in_one_octet_confirms_nobody(meeting, octet):
+    """GUIDs of two participants may begin alike; the last four octets of the source are fixed."""
+    one, other = meeting.run()
+    keys = KeyMaterial.generate(TransformationKind.AES256_GCM)
+    sender, own = Sender(key_exchange_material(one)), meeting.bob.guid
+    near = [bytearray(each) for each in (meeting.alice.guid, own)]
+    for each in near:
+        each[octet] ^= 1
+    for_another = token_message(meeting.alice.guid, bytes(near[1]), keys)
+    with pytest.raises(VerificationError, match="is for another participant"):
+        confirmed(own, other, sender.protect_submessage(for_another))
+    if octet < 12:
+        of_another = token_message(bytes(near[0]), own, keys)
+        with pytest.raises(VerificationError, match="not from the peer"):
+            confirmed(own, other, sender.protect_submessage(of_another))
+
+
 def test_what_is_no_first_message_confirms_nobody(meeting):
     one, other = meeting.run()
     keys = KeyMaterial.generate(TransformationKind.AES256_GCM)

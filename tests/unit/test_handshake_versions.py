@@ -214,6 +214,15 @@ def test_credentials_that_do_not_inflate_to_what_is_due_are_refused(now, spoil, 
     assert refused.value.codes == {Code.C27}
 
 
+def test_a_document_with_a_carriage_return_is_not_inflated(now):
+    """The file of it would be the same as without: two messages of one content."""
+    request = tokens(meeting(now))["request"]
+    for spoil in (b"\r", b"\r\n"):
+        with pytest.raises(VerificationError, match="not in canonical form") as refused:
+            changed(request, "id", lambda data, end=spoil: deflated(inflated(data)[:-1] + end))
+        assert refused.value.codes == {Code.C27}
+
+
 def test_no_more_is_inflated_than_the_limit_however_much_is_claimed(now):
     """A megabyte that inflates to a gigabyte costs what the limit costs."""
     request = tokens(meeting(now))["request"]

@@ -9,10 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from pqsec_pki._asn1 import KeyReference, encode, raw
-from pqsec_pki.algorithms import pem
+from pqsec_pki.algorithms import SIGNATURES, pem
 from pqsec_pki.enrolment import Bundle
 from pqsec_pki.errors import MalformedError, UsageError
-from pqsec_pki.tokens import KeyUri, is_reference, reference_to, uri_in
+from pqsec_pki.tokens import KeyUri, is_reference, made_keys, reference_to, uri_in
 from tests.unit.keystores import NOW, made
 
 LAB = "pkcs11:token=lab;object=identity-ca"
@@ -21,6 +21,15 @@ LAB = "pkcs11:token=lab;object=identity-ca"
 def test_a_uri_in_any_order_and_case_has_one_form():
     for text in (LAB, "PKCS11:object=identity-ca;token=lab;type=private", f"{LAB};type=private"):
         assert str(KeyUri.parse(text)) == f"{LAB};type=private"
+
+
+def test_one_key_is_not_named_for_two_cas():
+    """Both were asked of the token, which this machine need not have for the refusal."""
+    row = SIGNATURES.named("ecdsa-p256")
+    for second in (LAB, "PKCS11:object=identity-ca;token=lab"):
+        wanted = {"identity_ca": (LAB, row), "permissions_ca": (second, row)}
+        with pytest.raises(UsageError, match="one key is named twice"), made_keys(wanted):
+            pass
 
 
 def test_escapes_are_read_and_written():

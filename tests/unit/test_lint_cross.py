@@ -272,6 +272,20 @@ def test_a_ca_renewed_with_another_key_identifier_is_found(lab):
     assert set(lab.found()) == {"PQS313"}
 
 
+@pytest.mark.parametrize("octet", [0, 4, 19])
+def test_a_key_identifier_that_differs_in_one_octet_is_found(lab, octet):
+    identity = lab.authorities().identity
+    identifier = bytearray(identity.certificate.subject_key_identifier)
+    identifier[octet] ^= 1
+    near = x509.SubjectKeyIdentifier(bytes(identifier))
+    ca = certificate(
+        "Test Identity CA", key=identity.key.handle, ca=True, identifiers=False,
+        extensions=[(near, False)],
+    )  # fmt: skip
+    lab.put("public/identity_ca.cert.pem", ca)
+    assert set(lab.found()) == {"PQS313"}
+
+
 def test_an_enclave_that_was_copied_to_a_second_robot_is_found(lab):
     shutil.copytree(lab / TALKER, lab / "enclaves/second", symlinks=True)
     findings = lab.found()

@@ -193,6 +193,16 @@ def test_a_flaw_is_found(tmp_path, rule, make):
     assert set(found_in(tmp_path, make())) - AND_ALSO.get(rule, set()) == {rule}
 
 
+def test_every_curve_below_256_bits_is_weak(tmp_path):
+    """P-224, and those that the library makes no keys of: the certificate says another curve."""
+    name, text = key(ec.generate_private_key(ec.SECP224R1()))
+    [(_, der)] = unpem(text, "certificate")
+    for last, curve in ((0x21, "ecdsa-p224"), (0x20, "secp224k1"), (0x1F, "secp192k1")):
+        other = der.replace(bytes.fromhex("06052b81040021"), bytes([6, 5, 0x2B, 0x81, 4, 0, last]))
+        told = found_in(tmp_path, (name, pem("CERTIFICATE", other)))
+        assert told["PQS106"].message == f"the key of the participant is weak: {curve}"
+
+
 @pytest.mark.parametrize("make", SOUND.values(), ids=SOUND)
 def test_what_stacks_take_is_not_complained_of(tmp_path, make):
     assert found_in(tmp_path, make()) == {}

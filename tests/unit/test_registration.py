@@ -21,7 +21,15 @@ from pqsec_pki.errors import (
     UsageError,
     VerificationError,
 )
-from pqsec_pki.keystore import audit, change, enrolled_by, grant_entry, registrations, write_anchor
+from pqsec_pki.keystore import (
+    audit,
+    change,
+    enrolled_by,
+    grant_entry,
+    load_certificate,
+    registrations,
+    write_anchor,
+)
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     add_registration,
@@ -30,6 +38,11 @@ from pqsec_pki.lifecycle import (
     revoke,
     sign_head,
 )
+from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.call_handling import CallHandler
+from pqsec_pki.server.configuration import EnrolmentPolicy
+from pqsec_pki.server.waiting import WaitingRequests
+from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.unit.approving import PEOPLE, Council
 from tests.unit.domains import NOW, Scene
 
@@ -99,6 +112,12 @@ class Line(Scene):
         requests = self.requests(*names)
         return ordered(requests, grant, key or self.key, role, validity=validity, now=now)
 
+    def server(self, folder):
+        """What answers robots, with the domain file as it is now; it renews at any time."""
+        waiting = WaitingRequests(RequestFolder(folder), 1)
+        policy, desired = EnrolmentPolicy(renew_any_time=True), read_domain(self.file)
+        return CallHandler(self.keystore, self.cas, desired, lambda: NOW, waiting, policy)
+
     def perform(self, order, now=NOW, **options):
         """As it goes through the file."""
         read = SignRequest.from_bytes(order.to_bytes(now=NOW))
@@ -164,6 +183,24 @@ def test_a_domain_file_that_is_edited_later_changes_no_grant(line):
     line.perform(line.order(grant, "/fleet/r1"))
     xml = (line.root / "enclaves/fleet/r1/permissions.xml").read_text()
     assert "anything" not in xml
+
+
+def test_a_renewal_over_the_network_gives_the_rights_of_the_order_or_none(line, tmp_path):
+    """Within its grant for robots, a registration authority got the rights of another role so."""
+    line.perform(line.order(line.add(), "/fleet/r1"))
+    there = "{name: /there, role: robot}"
+    line.change(there, f"{there}\n  - {{name: /fleet/r1, role: other, order: orders/}}")
+    held = load_certificate(line.root / "enclaves/fleet/r1/cert.pem")
+    [renewal] = line.requests("/fleet/r1")
+    call = SignerCall(kind=CallKind.REQUEST, certificate=held.der, body=renewal.der)
+    before = line.keystore.head
+    [answer] = line.server(tmp_path / "waiting").answers([call])
+    words = "/fleet/r1 was enrolled by an order with other rights than the domain file has"
+    assert (answer.status, words in answer.detail) == (403, True)
+    assert line.keystore.head == before
+    line.change("role: other, order", "role: robot, order")
+    [answer] = line.server(tmp_path / "waiting").answers([call])
+    assert answer.status == 200
 
 
 def test_another_name_is_refused(line):

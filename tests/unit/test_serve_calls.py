@@ -1,5 +1,9 @@
-"""What the signer does with several requests at once."""
+"""What the signer does with several requests at once, and with calls that it refuses."""
 
+import os
+import socket
+import struct
+from contextlib import suppress
 from datetime import timedelta
 
 import pytest
@@ -11,9 +15,10 @@ from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.lifecycle import ParticipantSpec, revoke
 from pqsec_pki.server import record_token
-from pqsec_pki.server.call import CallKind, SignerCall
+from pqsec_pki.server.call import MAX_BODY, MAX_HEADER, CallKind, SignerCall, unpacked
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.requester import Admitted
+from pqsec_pki.server.signer import SignerProcess, listening
 from pqsec_pki.server.waiting import WaitingRequests
 from pqsec_pki.server.waiting_folder import RequestFolder
 from tests.unit.keystores import DAY, NOW, made
@@ -53,6 +58,32 @@ def test_a_call_with_what_no_client_can_send_is_refused(key, text):
     assert SignerCall.of(header, b"").kind is CallKind.ENROL
     with pytest.raises(MalformedError, match="not a call"):
         SignerCall.of(header | {key: text}, b"")
+
+
+def sent(header_size, body_size):
+    """take(size) over a message with these lengths, and the sizes that it was asked for."""
+    asked, head = [], struct.pack(">II", header_size, body_size)
+
+    def take(size):
+        asked.append(size)
+        return head if len(asked) == 1 else b"{}".ljust(size)
+
+    return take, asked
+
+
+@pytest.mark.parametrize("sizes", [(MAX_HEADER + 1, 0), (2, MAX_BODY + 1), (2**32 - 1, 2**32 - 1)])
+def test_a_message_that_claims_to_be_too_large_is_refused_before_it_is_read(sizes):
+    """The process that faces the network could fill the memory of the one with the keys."""
+    take, asked = sent(*sizes)
+    with pytest.raises(MalformedError, match="is too large"):
+        unpacked(take)
+    assert asked == [8]
+
+
+def test_a_message_as_large_as_is_allowed_is_read():
+    take, asked = sent(MAX_HEADER, 1)
+    assert unpacked(take) == ({}, b"{}")
+    assert asked == [8, MAX_HEADER, 1]
 
 
 class Served:
@@ -133,3 +164,31 @@ def test_lines_that_the_server_has_seen_are_missed_without_a_signed_head(tmp_pat
     assert served.ask("/nobody").status == 403
     served.rolled_back(old)
     assert served.ask("/fleet/r1").status == 503
+
+
+def test_a_call_of_another_user_is_not_answered(tmp_path):
+    """The mode of the socket keeps root out of nothing: the user who calls is asked for."""
+    served, log = Served(tmp_path), []
+    path, own = tmp_path / "signer", os.getuid()
+    call = SignerCall(kind=CallKind.HEAD)
+    with listening(path) as listener:
+        for users, answered in ({own}, True), ({own + 1}, False), (set(), False):
+            process = SignerProcess(
+                listener=listener,
+                load=lambda _: served.handler,
+                users=frozenset(users),
+                log=log.append,
+                pass_on=lambda: None,
+                front_listens=lambda: True,
+            )
+            with socket.socket(socket.AF_UNIX) as link:
+                link.settimeout(60)
+                link.connect(str(path))
+                link.sendall(call.to_bytes())
+                process._serve(process._arrived())
+                answer = b""
+                with suppress(ConnectionResetError):  # what it sent was not read
+                    answer = link.makefile("rb").read()
+            assert bool(answer) is answered
+    refused = [each["detail"] for each in log if each["event"] == "a call is refused"]
+    assert refused == ["another user may not ask the signer"] * 2

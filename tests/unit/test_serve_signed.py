@@ -206,6 +206,20 @@ def test_est_knows_no_signed_requests(server, alice):
     assert (reply.status, reply.detail[:16]) == (400, "a signed request")
 
 
+def test_who_shows_a_client_certificate_signs_for_nobody_else(server, alice, bob):
+    """A relay with a certificate of its own could pass on what another one signed."""
+    robot, signer = alice
+    body, before = robot.new().pem, server.keystore.head
+    own = identity("ecdsa-p256", owner="mallory")
+    with server.connect(own) as link:
+        reply = send(link, "POST", REQUESTS, body, signer.headers(link, "POST", REQUESTS, body))
+    assert (reply.status, reply.detail) == (
+        400,
+        "a signed request is for paths of pqsec, and without a client certificate",
+    )
+    assert server.keystore.head == before
+
+
 def test_a_revoked_robot_signs_in_vain(server, tmp_path):
     robot, signer = enrolled(server, tmp_path, "/fleet/r5")
     assert asked(server, signer, "GET", BUNDLE).status == 200

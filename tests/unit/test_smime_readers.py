@@ -321,6 +321,23 @@ def test_the_text_can_hide_nothing_behind_its_own_header():
         read(signed_as(content), Require.ANY)
 
 
+def test_the_signature_can_hide_nothing_behind_its_own_header():
+    """OpenSSL would verify the signature above the blank line, and pqsec the one below it."""
+    message, other = signed(), sign(ALLOWED, CA, now=NOW + timedelta(days=1))
+    _, part = parts_of(message)
+    header, _, base64_text = part.partition(b"\n\n")
+    hidden = parts_of(other)[1].partition(b"\n\n")[2].strip()
+    long = b"X-Long: " + b"a" * (1023 - 8)
+    lines = (header, long, hidden, b"", base64_text)
+    forged = message.replace(part, b"\n".join(lines))
+    model = _openssl_reader.read(forged)
+    assert model.signature.replace(b"\r\n", b"\n").startswith(hidden)
+    with pytest.raises(AmbiguousError, match="finds another signature between"):
+        document_in(forged)
+    with pytest.raises(VerificationError, match="would not read the same document"):
+        verify(forged, CA.certificate)
+
+
 def signed_as(content):
     """A file whose signature covers `content`, MIME header and all."""
     info = _signer_info.make(CA, content, now=NOW)

@@ -2,8 +2,15 @@
 
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime, timedelta
+from functools import partial
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.serialization import (
+    BestAvailableEncryption,
+    Encoding,
+    PrivateFormat,
+)
 
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority, RevokedCertificate, revocation_list
@@ -124,6 +131,32 @@ def test_what_a_document_must_be_signed_with(identity, permissions):
     assert anchors(permissions, both).required is Require.BOTH
     assert anchors(permissions, identity, both).required is Require.CLASSICAL  # the first says
     assert anchors(permissions, both, stock_peers=True).required is Require.CLASSICAL
+
+
+@pytest.mark.parametrize("remembers_all", [False, True])
+def test_a_hybrid_ca_alone_does_not_sign_for_the_countersigner(identity, remembers_all):
+    """Its signature is classical and post-quantum, and the countersigner is demanded by name."""
+    hybrid, counter = authority("Hybrid", "mldsa65+p256"), authority("PQ", "ml-dsa-44")
+    named = {"countersigner": counter.certificate, "remembers_all": remembers_all}
+    trusted = anchors(hybrid, identity, **named)
+    alone = signed(hybrid)
+    for read in (trusted.signed, trusted.signed_governance, partial(trusted.governance, now=NOW)):
+        with pytest.raises(VerificationError, match="there is no countersignature by CN=PQ"):
+            read(alone)
+    assert trusted.signed_governance(signed(hybrid, counter)).verified.signatures[1:]
+    assert trusted.signed(alone, Require.BOTH).document  # the user says what is demanded
+
+
+def test_a_file_of_a_ca_has_nothing_else():
+    """A traditional key under a passphrase is no value to be read, and another reader minds it."""
+    ca = authority("CA").certificate.pem
+    key = ec.generate_private_key(ec.SECP256R1())
+    form, secret = PrivateFormat.TraditionalOpenSSL, BestAvailableEncryption(b"secret")
+    kept = key.private_bytes(Encoding.PEM, form, secret)
+    assert b"Proc-Type" in kept
+    for file in (ca + kept, kept + ca, ca + kept + ca):
+        with pytest.raises(MalformedError, match=r"ca\.pem: not certificates in PEM, and nothing"):
+            certificates_in(file, "ca.pem")
 
 
 def test_a_certificate_of_a_cut_file_is_not_taken():

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.algorithms import Family, is_encrypted
 from pqsec_pki.credentials import KEYS
-from pqsec_pki.lint._keys import UNREADABLE, family_of, key_kind
+from pqsec_pki.lint._keys import UNREADABLE, WEAK_CURVES, family_of, key_kind
 from pqsec_pki.lint.file import KeyOrListFile
 from pqsec_pki.lint.roles import CertificateRole
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
@@ -163,7 +163,7 @@ def broken_hash(file: CertificateFile) -> Iterator[Violation]:
 def weak_key(file: CertificateFile) -> Iterator[Violation]:
     kind = key_kind(file.first) if file.first else ""
     bits = kind.removeprefix("rsa-")
-    if kind == "ecdsa-p224" or (bits.isdigit() and int(bits) < WEAKEST_RSA):
+    if kind in WEAK_CURVES or (bits.isdigit() and int(bits) < WEAKEST_RSA):
         yield Violation(f"the key of the {file.role} is weak: {kind}")
 
 
