@@ -907,7 +907,7 @@ def test_a_signer_whose_name_cannot_be_read_is_not_listed(lab):
         signers_in(with_info(lab.sign(), sid=sid))
 
 
-@pytest.mark.parametrize("rest", [b"x", b"-", b"---", b" x", b"-- x"])
+@pytest.mark.parametrize("rest", [b"x", b"-", b"---", b" x", b"-- x", b"\rx", b" \rx"])
 def test_a_line_that_begins_as_the_boundary_and_goes_on_is_read_by_nobody(lab, rest):
     # It ends no part (RFC 2046 5.1.1), but does so for OpenSSL.
     message = lab.sign()

@@ -36,6 +36,8 @@ from pqsec_pki.smime import (
     signers_in,
     verify,
 )
+from pqsec_pki.smime import parts_of as parted
+from pqsec_pki.smime._mime import TEXT_HEADER
 from tests.unit.signed_files import CONSTRUCTIONS, parts_of
 
 NOW = datetime.now(UTC).replace(microsecond=0)
@@ -146,6 +148,10 @@ WRAPPERS = {
         parts_of(message)[1].partition(b"\n\n")[2].rstrip(),
         base64.encodebytes(cms_of(message)).rstrip(),
     ),
+    "spaces after the boundary": lambda message: re.sub(
+        rb"(?m)^(------[0-9A-F]{32}(--)?)$", rb"\1 \t", message
+    ),
+    "no line end at the end": lambda message: message.rstrip(b"\n"),
     "no blank line after the signature": lambda message: re.sub(
         rb"\n\n(------[0-9A-F]{32}--)", rb"\n\1", message
     ),
@@ -319,6 +325,14 @@ def test_the_text_can_hide_nothing_behind_its_own_header():
     content = long + b"\r\nContent-Type: text/plain\r\n\r\n" + crlf(ALLOWED)
     with pytest.raises(VerificationError, match="would not read the same document"):
         read(signed_as(content), Require.ANY)
+
+
+@pytest.mark.parametrize("text", [b"<a>\r</a>\r\n", b"\r<a/>\r\n"])
+def test_a_signed_carriage_return_alone_is_in_no_canonical_file(text):
+    """The signature covers it, and a file of the parts would have a line end there."""
+    message = signed_as(TEXT_HEADER + text)
+    with pytest.raises(MalformedError, match="the signed part is not in pqsec's canonical form"):
+        parted(message)
 
 
 def test_the_signature_can_hide_nothing_behind_its_own_header():
