@@ -24,7 +24,7 @@ def test_a_uri_in_any_order_and_case_has_one_form():
 
 
 def test_one_key_is_not_named_for_two_cas():
-    """Both were asked of the token, which this machine need not have for the refusal."""
+    """It is refused before a token is used: two keys with one label would be made there."""
     row = SIGNATURES.named("ecdsa-p256")
     for second in (LAB, "PKCS11:object=identity-ca;token=lab"):
         wanted = {"identity_ca": (LAB, row), "permissions_ca": (second, row)}
