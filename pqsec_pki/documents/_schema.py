@@ -9,15 +9,12 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
-from pqsec_pki.documents._xml import parse, problem
+from pqsec_pki.documents._xml import MAX_PROBLEMS, parse, problem
 from pqsec_pki.errors import InvalidDocumentError, shown
 from pqsec_pki.problems import Code, Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element, _LogEntry
-
-MAX_PROBLEMS = 100
-"""More do not help a reader, and a hostile document has a million."""
 
 
 _ONE_AT_A_TIME = Lock()

@@ -87,7 +87,7 @@ def read_tree(xml: bytes) -> Tree:
     InvalidDocumentError as for other documents, for more than MAX_ELEMENTS elements, and for an
     element with more than MAX_ATTRIBUTES attributes.
     """
-    root = parse(xml)
+    root = parse(xml, any_markup=True)
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
         raise invalid(f"more than {MAX_ELEMENTS} elements, so not a document of this kind")
     return Tree(

@@ -1,5 +1,6 @@
 """Governance and permissions: what is written, what is read, what is refused."""
 
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -466,14 +467,44 @@ def test_byte_order_marks_and_declared_encodings_are_understood(encoding):
     assert grant.rules[0].publish[0].topics == ("é",)
 
 
-def test_comments_and_cdata_do_not_cut_a_text_short():
-    rules = allowing("<id>1<!-- not 12 --></id>").replace(
-        "</allow",
-        "<publish><topics><topic>rt/<!-- x -->a<?y z?><![CDATA[<b>]]>c</topic></topics></publish>"
-        "</allow",
-    )
-    [grant] = Permissions.from_xml(document(rules=rules)).grants
-    assert grant.rules[0].publish[0].topics == ("rt/a<b>c",)
+MARKUP = {"a comment": "<!-- x -->", "a CDATA section": "<![CDATA[x]]>", "a processing": "<?y z?>"}
+PARTS = (
+    "<publish><partitions><partition>P</partition></partitions><topics><topic>T</topic></topics>"
+    "<data_tags><tag><name>a</name><value>1</value></tag></data_tags></publish>"
+)
+EVERY_VALUE = {
+    Permissions: document(
+        rules=allowing("<id>0</id><id_range><min>3</min><max>4</max></id_range>").replace(
+            "</allow", f"{PARTS}</allow"
+        )
+    ),
+    Governance: Governance.protected(DomainSet.parse("0,2-3")).to_xml(),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-7"])
+@pytest.mark.parametrize("markup", MARKUP)
+@pytest.mark.parametrize("kind", EVERY_VALUE, ids=lambda kind: kind.__name__)
+def test_a_value_with_markup_in_it_is_refused_since_fast_dds_stops_reading_there(
+    kind, markup, encoding
+):
+    text = EVERY_VALUE[kind].decode().replace("UTF-8", encoding)
+    values = [*re.finditer("<([a-z_]+)>([^<>]+)</", text)]
+    assert len(values) > 10
+    for value in values:
+        for place in (value.start(2), value.start(2) + 1, value.end(2)):
+            spoiled = f"{text[:place]}{MARKUP[markup]}{text[place:]}".encode(encoding)
+            with pytest.raises(InvalidDocumentError) as refused:
+                kind.from_xml(spoiled)
+            [problem] = refused.value.problems
+            assert problem.message.startswith(f"readers differ: {markup}")
+            assert (problem.element, problem.line) == (value[1], text.count("\n", 0, place) + 1)
+
+
+@pytest.mark.parametrize("kind", EVERY_VALUE, ids=lambda kind: kind.__name__)
+def test_comments_between_elements_change_no_value(kind):
+    plain = EVERY_VALUE[kind]
+    assert kind.from_xml(re.sub(rb">(\s*)<", rb">\1<!-- x --><?y z?><", plain)) == kind.from_xml(plain)
 
 
 def test_criteria_are_read_in_any_order_and_tags_with_several_pairs():
