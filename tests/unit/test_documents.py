@@ -504,7 +504,9 @@ def test_a_value_with_markup_in_it_is_refused_since_fast_dds_stops_reading_there
 @pytest.mark.parametrize("kind", EVERY_VALUE, ids=lambda kind: kind.__name__)
 def test_comments_between_elements_change_no_value(kind):
     plain = EVERY_VALUE[kind]
-    assert kind.from_xml(re.sub(rb">(\s*)<", rb">\1<!-- x --><?y z?><", plain)) == kind.from_xml(plain)
+    assert kind.from_xml(re.sub(rb">(\s*)<", rb">\1<!-- x --><?y z?><", plain)) == kind.from_xml(
+        plain
+    )
 
 
 def test_criteria_are_read_in_any_order_and_tags_with_several_pairs():
