@@ -22,6 +22,7 @@ MAX_DOCUMENT = 8 << 20
 MAX_PROBLEMS = 100
 """More do not help a reader, and a hostile document has a million."""
 
+_MARKUP = {"Comment": "a comment", "ProcessingInstruction": "a processing instruction"}
 _CDATA = "<![CDATA["
 
 
@@ -61,11 +62,11 @@ def _markup_in_values(root: "_Element") -> Iterator[Problem]:
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
     markup: dict[_Element, str] = {}
-    for node in root.iter(etree.Comment, etree.ProcessingInstruction):
-        parent = node.getparent()
-        if parent is not None and _is_value(parent):
-            what = "a comment" if node.tag is etree.Comment else "a processing instruction"
-            markup.setdefault(parent, what)
+    for tag, what in _MARKUP.items():
+        for node in root.iter(getattr(etree, tag)):
+            parent = node.getparent()
+            if parent is not None and _is_value(parent):
+                markup.setdefault(parent, what)
     if _CDATA in etree.tostring(root, encoding="unicode"):
         for element in root.iter(etree.Element):
             if _is_value(element) and _CDATA in etree.tostring(
