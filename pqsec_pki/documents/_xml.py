@@ -10,7 +10,7 @@ from functools import cache
 from itertools import islice
 from typing import TYPE_CHECKING
 
-from pqsec_pki.errors import InvalidDocumentError, shown
+from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -38,12 +38,8 @@ def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
 
     if len(xml) > MAX_DOCUMENT:
         raise invalid(f"larger than {MAX_DOCUMENT} bytes, so not a document of this kind")
-    try:
+    with library_call(_not_well_formed):
         root = etree.fromstring(xml, _parser())
-    except etree.XMLSyntaxError as error:
-        reason, _, _ = (error.msg or "not XML").partition(", line ")
-        words = f"not well-formed XML: {shown(reason.strip())}"
-        raise invalid(words, error.lineno or 1) from None
     if root.getroottree().docinfo.internalDTD is not None:
         raise invalid("has a DOCTYPE, which is not allowed: remove it")
     problems = () if any_markup else tuple(islice(_markup_in_values(root), MAX_PROBLEMS))
@@ -51,6 +47,13 @@ def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
         raise InvalidDocumentError(problems)
     etree.strip_tags(root, etree.Comment, etree.ProcessingInstruction)
     return root
+
+
+def _not_well_formed(error: BaseException) -> InvalidDocumentError:
+    """With the line that lxml's XMLSyntaxError has; its other errors have none."""
+    reason, _, _ = (getattr(error, "msg", None) or words_of(error)).partition(", line ")
+    line = getattr(error, "lineno", None) or 1
+    return invalid(f"not well-formed XML: {shown(reason.strip())}", line)
 
 
 def _markup_in_values(root: "_Element") -> Iterator[Problem]:
