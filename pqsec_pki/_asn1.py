@@ -24,7 +24,7 @@ from cryptography.hazmat.asn1 import (
 )
 from cryptography.x509 import ObjectIdentifier
 
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import MalformedError, library_call, words_of
 
 if TYPE_CHECKING:
     from cryptography.hazmat.asn1 import sequence
@@ -86,10 +86,8 @@ def encode(value: object) -> bytes:
 
 def decode(kind: type[T], der: bytes, what: str) -> T:
     """`der` decoded as a `kind`; MalformedError, naming `what`, if it is not one."""
-    try:
+    with library_call(lambda error: MalformedError(f"not a DER {what}: {plain_words(error)}")):
         return asn1.decode_der(kind, der)
-    except (ValueError, OverflowError) as error:
-        raise MalformedError(f"not a DER {what}: {plain_words(error)}") from error
 
 
 _PARSE_ERROR = r"ParseError \{ kind: (\w+)(?:.*location: \[(.*?)\])?"
@@ -104,18 +102,18 @@ _PARSE_ERRORS = {
 }
 
 
-def plain_words(error: Exception) -> str:
+def plain_words(error: BaseException) -> str:
     """The message of cryptography's parser in plain words."""
     found = re.search(_PARSE_ERROR, str(error))
     if not found:
-        return str(error)
+        return words_of(error)
     place = f" ({found[2]})".replace('"', "") if found[2] else ""
     return _PARSE_ERRORS.get(found[1], "a value is invalid") + place
 
 
 def raw(der: bytes) -> TLV:
     """A complete DER value, embedded unchanged in another structure."""
-    return asn1.decode_der(TLV, der)
+    return decode(TLV, der, "value")
 
 
 def bits(data: bytes) -> BitString:

@@ -5,7 +5,7 @@ line prints the message and the hint, and exits with the error's exit_code: 1 if
 failed, 2 if the request makes no sense, 3 if the work could not be done.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import Self, TypeVar
 
@@ -211,6 +211,39 @@ def problems_of(error: PqsecError, code: Code = Code.OTHER) -> tuple[Problem, ..
     if isinstance(error, VerificationError):
         return error.problems
     return (Problem(str(error), code if error.code is Code.OTHER else error.code),)
+
+
+class library_call:  # noqa: N801 -- read as a function, and quicker than a generator
+    """Around one call of a library on bytes from outside: what it raises becomes our `refusal`.
+
+    Libraries raise more than they document (KeyError, RecursionError, panics of Rust), so no types
+    are listed. The library's error is the cause. Our own errors pass, and so do the ends of the
+    process. PqsecError for too little memory, which says nothing about the bytes.
+    """
+
+    __slots__ = ("_refusal",)
+
+    def __init__(self, refusal: Callable[[BaseException], PqsecError]) -> None:
+        self._refusal = refusal
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _type: object, error: BaseException | None, _traceback: object) -> None:
+        if error is None or isinstance(error, _PASSING):
+            return
+        if isinstance(error, MemoryError):
+            hint = "run it again where more is free"
+            raise PqsecError("there is not enough memory", hint=hint) from error
+        raise self._refusal(error) from error
+
+
+_PASSING = (PqsecError, KeyboardInterrupt, SystemExit, GeneratorExit)
+
+
+def words_of(error: BaseException) -> str:
+    """What a library's error says, fit for a message; its type if it says nothing."""
+    return shown(str(error), limit=200) or type(error).__name__
 
 
 @contextmanager

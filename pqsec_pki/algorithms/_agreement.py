@@ -12,7 +12,7 @@ from typing import Any
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._table import Family, Registered
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import VerificationError, library_call
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,19 +94,15 @@ class KeyAgreement(ABC):
         """(dh2, secret) for dh1 `public`; VerificationError if it is not a public key."""
         if not self._fits(public, self.public_size):
             raise VerificationError(f"not a {self.name} public key: {len(public)} bytes")
-        try:
+        with library_call(lambda _: VerificationError(f"bad {self.name} public key")):
             return self._encapsulate(public)
-        except ValueError as error:
-            raise VerificationError(f"bad {self.name} public key") from error
 
     def decapsulate(self, handle: Any, ciphertext: bytes) -> bytes:
         """The secret in dh2 `ciphertext`; VerificationError if that is invalid."""
         if not self._fits(ciphertext, self.ciphertext_size):
             raise VerificationError(f"not a {self.name} ciphertext: {len(ciphertext)} bytes")
-        try:
+        with library_call(lambda _: VerificationError(f"bad {self.name} ciphertext")):
             return self._decapsulate(handle, ciphertext)
-        except ValueError as error:
-            raise VerificationError(f"bad {self.name} ciphertext") from error
 
     def shared_secret(self, secret: bytes, signed_reply: bytes) -> bytes:
         """SharedSecret, 32 bytes: every later key is derived from it.

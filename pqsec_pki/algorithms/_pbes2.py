@@ -24,7 +24,7 @@ from pqsec_pki._asn1 import (
     encode,
     raw,
 )
-from pqsec_pki.errors import MalformedError, PassphraseError
+from pqsec_pki.errors import MalformedError, PassphraseError, library_call
 
 T = TypeVar("T")
 
@@ -95,15 +95,14 @@ def decrypt(der: bytes, passphrase: bytes) -> bytes:
             "the private key's encryption has an invalid parameter", hint=_OTHERWISE
         )
     key = _derive(passphrase, derivation.salt, derivation.iteration_count, prf, key_size)
-    try:
+    with library_call(lambda _: PassphraseError("wrong passphrase for the private key")):
         decryptor = Cipher(AES(key), modes.CBC(iv)).decryptor()
         padded = decryptor.update(info.encrypted_data) + decryptor.finalize()
         unpadder = padding.PKCS7(AES.block_size).unpadder()
         plain = unpadder.update(padded) + unpadder.finalize()
-        decode(
-            OneAsymmetricKey, plain, "private key"
-        )  # with a wrong key the padding is valid once in 256
-    except (ValueError, MalformedError):
+    try:  # with a wrong key the padding is valid once in 256
+        decode(OneAsymmetricKey, plain, "private key")
+    except MalformedError:
         raise PassphraseError("wrong passphrase for the private key") from None
     return plain
 

@@ -7,7 +7,6 @@ from abc import ABC, abstractmethod
 from dataclasses import field
 from typing import Any
 
-from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.serialization import (
     Encoding,
     NoEncryption,
@@ -19,7 +18,14 @@ from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, encode, whole_bytes
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._table import Family, Registered
 from pqsec_pki.algorithms.digest import Digest
-from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
+from pqsec_pki.errors import (
+    MalformedError,
+    PqsecError,
+    UsageError,
+    VerificationError,
+    library_call,
+    words_of,
+)
 
 _BROKEN = {
     encode(Oid(oid)): digest
@@ -124,10 +130,10 @@ class SignatureAlgorithm(ABC):
         """The handle of a SubjectPublicKeyInfo with `key_oid`; MalformedError if it is not one."""
         if info.algorithm.parameters is not None:
             raise MalformedError(f"{self.name} keys have no parameters")
-        try:
-            return self.load_raw_public(whole_bytes(info.subject_public_key, "the public key"))
-        except ValueError as error:
-            raise MalformedError(f"not a {self.name} public key: {error}") from error
+        key = whole_bytes(info.subject_public_key, "the public key")
+        words = f"not a {self.name} public key"
+        with library_call(lambda error: MalformedError(f"{words}: {words_of(error)}")):
+            return self.load_raw_public(key)
 
     @abstractmethod
     def sign(self, handle: Any, data: bytes) -> bytes:
@@ -211,17 +217,13 @@ class PublicKey:
                 f"the signature is marked with an algorithm that does not fit"
                 f" the signer's {self.algorithm.name} key"
             )
-        try:
+        with library_call(lambda _: VerificationError(f"bad {self.algorithm.name} signature")):
             self.algorithm.check(self.handle, signature, data, marked)
-        except (InvalidSignature, ValueError) as error:
-            raise VerificationError(f"bad {self.algorithm.name} signature") from error
 
     def verify_handshake(self, signature: bytes, data: bytes) -> None:
         """Like `verify`, for a signature in a handshake message (DDS-Security 1.1, 9.3.2.5)."""
-        try:
+        with library_call(lambda _: VerificationError(f"bad {self.algorithm.wire_name} signature")):
             self.algorithm.check_handshake(self.handle, signature, data)
-        except (InvalidSignature, ValueError) as error:
-            raise VerificationError(f"bad {self.algorithm.wire_name} signature") from error
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -20,7 +20,14 @@ from pqsec_pki.algorithms._ml_dsa import MLDSA
 from pqsec_pki.algorithms._pem import blocks, pem, unpem
 from pqsec_pki.algorithms._row import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.algorithms.signature import SIGNATURES
-from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UnknownAlgorithmError
+from pqsec_pki.errors import (
+    MalformedError,
+    PassphraseError,
+    PqsecError,
+    UnknownAlgorithmError,
+    library_call,
+    words_of,
+)
 
 _ROWS_BY_OID = {row.key_oid: row for row in SIGNATURES if isinstance(row, Composite | MLDSA)}
 """Rows found by the key's OID alone; the others need the key's curve or size."""
@@ -42,12 +49,11 @@ def load_public_key(spki: bytes) -> PublicKey:
     row = _row_by_oid(oid)
     if row and not isinstance(row, MLDSA):
         return PublicKey(row, spki, row.load_spki(_info(spki)))
-    try:
-        handle = load_der_public_key(spki)
-    except UnsupportedAlgorithm as error:
-        raise UnknownAlgorithmError(f"this key of algorithm {oid} is not known here") from error
-    except ValueError as error:
-        raise MalformedError(f"not a public key: {error}") from error
+    with library_call(lambda error: MalformedError(f"not a public key: {words_of(error)}")):
+        try:
+            handle = load_der_public_key(spki)
+        except UnsupportedAlgorithm as error:
+            raise UnknownAlgorithmError(f"this key of algorithm {oid} is not known here") from error
     return PublicKey(row or _row_of(handle, _ROWS_WITH.get(oid, ())), spki, handle)
 
 
@@ -188,13 +194,13 @@ def _load_traditional(data: bytes, passphrase: bytes | None) -> PrivateKey:
 def _native(load: Callable[[], Any]) -> Any:
     """The result of `load`; errors have new messages, since the library's may quote the key."""
     try:
-        return load()
-    except UnsupportedAlgorithm:
-        problem: PqsecError = UnknownAlgorithmError(
-            "private keys of this algorithm are not known here"
-        )
-    except (ValueError, TypeError):
-        problem = MalformedError("not a private key")
+        with library_call(lambda _: MalformedError("not a private key")):
+            return load()
+    except PqsecError as error:
+        problem = error
+        if isinstance(error.__cause__, UnsupportedAlgorithm):
+            problem = UnknownAlgorithmError("private keys of this algorithm are not known here")
+    problem.__cause__ = problem.__context__ = None
     raise problem  # here, so that the library's error is not its context
 
 

@@ -7,13 +7,12 @@ AES-256-GCM. Who sealed does not show.
 from dataclasses import field
 from typing import Self
 
-from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives import hpke
 from cryptography.hazmat.primitives.asymmetric import mlkem, x25519
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms._pem import first_pem, pem
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError, library_call, words_of
 
 _SUITE = hpke.Suite(hpke.KEM.MLKEM768_X25519, hpke.KDF.HKDF_SHA256, hpke.AEAD.AES_256_GCM)
 _PUBLIC, _PRIVATE = "PQSEC SEALING PUBLIC KEY", "PQSEC SEALING PRIVATE KEY"
@@ -36,11 +35,11 @@ class SealingPublicKey:
         """The inverse of `raw`; MalformedError if it is not such a key."""
         if len(raw) != _MLKEM_PUBLIC + _X25519:
             raise MalformedError(f"not a public key to seal for: {len(raw)} bytes")
-        try:
+        with library_call(
+            lambda error: MalformedError(f"not a public key to seal for: {words_of(error)}")
+        ):
             first = mlkem.MLKEM768PublicKey.from_public_bytes(raw[:_MLKEM_PUBLIC])
             second = x25519.X25519PublicKey.from_public_bytes(raw[_MLKEM_PUBLIC:])
-        except ValueError as error:
-            raise MalformedError(f"not a public key to seal for: {error}") from error
         return cls(raw, hpke.MLKEM768X25519PublicKey(first, second))
 
     @classmethod
@@ -84,11 +83,9 @@ class SealingPrivateKey:
     def from_pem(cls, data: bytes) -> Self:
         """The first such key in PEM `data`; MalformedError if there is none."""
         raw = first_pem(data, {_PRIVATE}, "private key to open with", limit=MAX_KEY)
-        try:
+        with library_call(lambda _: MalformedError("not a private key to open with")):
             first = mlkem.MLKEM768PrivateKey.from_seed_bytes(raw[:_MLKEM_SEED])
             second = x25519.X25519PrivateKey.from_private_bytes(raw[_MLKEM_SEED:])
-        except ValueError:
-            raise MalformedError("not a private key to open with") from None
         return cls._of(first, second)
 
     @classmethod
@@ -107,7 +104,5 @@ class SealingPrivateKey:
 
     def open(self, sealed: bytes, info: bytes) -> bytes:
         """The plaintext; VerificationError unless `sealed` is for this key and `info`."""
-        try:
+        with library_call(lambda _: VerificationError("sealed for another key, or altered since")):
             return _SUITE.decrypt(sealed, self.handle, info)
-        except (InvalidTag, ValueError):
-            raise VerificationError("sealed for another key, or altered since") from None

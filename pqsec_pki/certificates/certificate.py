@@ -27,7 +27,7 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import lone_common_name, name_line, name_text
-from pqsec_pki.errors import MalformedError, PqsecError
+from pqsec_pki.errors import MalformedError, PqsecError, library_call
 
 Value = TypeVar("Value", bound=x509.ExtensionType)
 
@@ -262,7 +262,7 @@ _AUTHORITIES: WeakValueDictionary[bytes, x509.Name] = WeakValueDictionary()
 
 def _parsed(der: bytes, issuer: bytes) -> dict[str, Any]:
     """The fields that cryptography parses, some of them only when they are asked for, as here."""
-    try:
+    with library_call(lambda error: MalformedError(f"not a certificate: {plain_words(error)}")):
         found = x509.load_der_x509_certificate(der)
         return {
             "subject": found.subject,
@@ -273,11 +273,3 @@ def _parsed(der: bytes, issuer: bytes) -> dict[str, Any]:
             "extensions": found.extensions,
             "signature": found.signature,
         }
-    except (
-        ValueError,
-        TypeError,
-        x509.InvalidVersion,
-        x509.DuplicateExtension,
-        x509.UnsupportedGeneralNameType,
-    ) as error:
-        raise MalformedError(f"not a certificate: {plain_words(error)}") from error

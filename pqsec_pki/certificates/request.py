@@ -23,7 +23,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import lone_common_name, name_text
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, library_call
 
 MAX_REQUEST = 256 << 10
 """Bytes of PEM or DER, as for a certificate."""
@@ -119,13 +119,14 @@ class CertificateRequest:
 
         MalformedError for several.
         """
-        try:
+        with library_call(
+            lambda error: MalformedError(f"the request's attributes: {plain_words(error)}")
+        ):
             found = x509.load_der_x509_csr(self.der).attributes
-            return found.get_attribute_for_oid(AttributeOID.CHALLENGE_PASSWORD).value
-        except x509.AttributeNotFound:
-            return None
-        except ValueError as error:
-            raise MalformedError(f"the request's attributes: {plain_words(error)}") from error
+            try:
+                return found.get_attribute_for_oid(AttributeOID.CHALLENGE_PASSWORD).value
+            except x509.AttributeNotFound:
+                return None
 
     @property
     def fingerprint(self) -> str:
@@ -164,14 +165,7 @@ class CertificateRequest:
 
 
 def _library_view(der: bytes) -> tuple[x509.Name, x509.Extensions]:
-    try:
+    words = "not a certificate request"
+    with library_call(lambda error: MalformedError(f"{words}: {plain_words(error)}")):
         parsed = x509.load_der_x509_csr(der)
         return parsed.subject, parsed.extensions
-    except (
-        ValueError,
-        TypeError,
-        x509.DuplicateExtension,
-        x509.InvalidVersion,
-        x509.UnsupportedGeneralNameType,
-    ) as error:
-        raise MalformedError(f"not a certificate request: {plain_words(error)}") from error

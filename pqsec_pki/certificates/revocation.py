@@ -19,7 +19,7 @@ from pqsec_pki.algorithms import first_pem, pem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import name_text
 from pqsec_pki.certificates.certificate import Certificate
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
+from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, library_call
 from pqsec_pki.problems import Code, Problem
 
 MAX_LIST = 8 << 20
@@ -242,17 +242,9 @@ _View = tuple[x509.Name, x509.Extensions, tuple[RevokedCertificate, ...]]
 
 
 def _library_view(der: bytes) -> _View:
-    try:
+    with library_call(lambda error: MalformedError(f"not a revocation list: {plain_words(error)}")):
         parsed = x509.load_der_x509_crl(der)
         return parsed.issuer, parsed.extensions, tuple(map(_revoked, parsed))
-    except (
-        ValueError,
-        TypeError,
-        x509.DuplicateExtension,
-        x509.InvalidVersion,
-        x509.UnsupportedGeneralNameType,
-    ) as error:
-        raise MalformedError(f"not a revocation list: {plain_words(error)}") from error
 
 
 def _revoked(entry: x509.RevokedCertificate) -> RevokedCertificate:

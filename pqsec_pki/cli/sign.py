@@ -16,7 +16,7 @@ from pqsec_pki.documents import (
     governance_from_yaml,
     permissions_from_yaml,
 )
-from pqsec_pki.errors import FileError, located
+from pqsec_pki.errors import FileError, InvalidDocumentError, located
 from pqsec_pki.keystore import SigningCa
 from pqsec_pki.lifecycle import sign_document
 
@@ -61,8 +61,9 @@ def _options(command: _settings.Command) -> _settings.Command:
 def sign_governance(file: Path, **choices: Any) -> None:
     """Check a governance document against its schema, and sign it.
 
-    The keystore's permissions CA signs it. Nothing is written if FILE is not valid. YAML is
-    converted to XML first.
+    The keystore's permissions CA signs what FILE, XML or YAML, says, always in the same form of
+    XML, without comments. An XML file of the keystore itself becomes what was signed. Nothing is
+    written if FILE is not valid.
     """
     _sign(Kind.GOVERNANCE, Governance.from_xml, file, **choices)
 
@@ -87,8 +88,9 @@ def sign_governance(file: Path, **choices: Any) -> None:
 def sign_permissions(file: Path, **choices: Any) -> None:
     """Check a permissions document against its schema, and sign it.
 
-    The keystore's permissions CA signs it. Nothing is written if FILE is not valid. YAML is
-    converted to XML first.
+    The keystore's permissions CA signs what FILE, XML or YAML, says, always in the same form of
+    XML, without comments. An XML file of the keystore itself becomes what was signed. Nothing is
+    written if FILE is not valid.
     """
     _sign(Kind.PERMISSIONS, Permissions.from_xml, file, **choices)
 
@@ -105,7 +107,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
 ) -> None:
     document = document_at(file, kind)
     with located(file):
-        check(document)
+        value = check(document)
     goal = output or file.with_suffix(".p7s")
     if not force:  # before the passphrase is asked for
         refuse_existing(goal)
@@ -120,7 +122,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
         embed_certificate=embed_certificate,
         force=force,
     )
-    _note_other_xml(goal, document)
+    _note_other_xml(goal, document, check, value)
     _printing.emit({"signed": goal, "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
 
 
@@ -131,12 +133,20 @@ def document_at(file: Path, kind: Kind) -> bytes:
         return _rendered(kind, document) if file.suffix in {".yaml", ".yml"} else document
 
 
-def _note_other_xml(goal: Path, document: bytes) -> None:
-    """Note that the XML file next to `goal` differs from what was signed."""
+def _note_other_xml(
+    goal: Path, document: bytes, check: Callable[[bytes], object], value: object
+) -> None:
+    """Note that the XML file next to `goal` has another meaning, or lost its comments."""
     beside = goal.with_suffix(".xml")
-    with suppress(FileError):  # the document is already signed
-        if beside != goal and exists(beside) and read(beside) != document:
-            _printing.note(f"{beside} differs from the document that was signed into {goal.name}")
+    if beside == goal or not exists(beside):
+        return
+    with suppress(FileError, InvalidDocumentError):  # the document is already signed
+        found = read(beside)
+        if check(found) == value:
+            if b"<!--" in document and b"<!--" not in found:
+                _printing.note(f"{beside} is now what was signed, so without its comments")
+            return
+    _printing.note(f"{beside} says something else than what was signed into {goal.name}")
 
 
 def _rendered(kind: Kind, document: bytes) -> bytes:

@@ -17,8 +17,8 @@ _TIME = _DAY + rb"T(?:[01][0-9]|2[0-3]):[0-5][0-9]:[0-5][0-9]Z"
 _NAME = rb"/[A-Za-z0-9_]{1,20}(?:/[A-Za-z0-9_]{1,20})?"
 _TOPIC = rb"(?!DCPS)[A-Za-z0-9_]{1,60}(?:/[A-Za-z0-9_]{1,60}){0,2}"
 _TOPICS = (
-    rb"          <topics>\n(?:            <topic>" + _TOPIC + rb"</topic>\n)+"
-    rb"          </topics>\n"
+    rb"<topics>\n(?:<topic>" + _TOPIC + rb"</topic>\n)+"
+    rb"</topics>\n"
 )
 
 # The fixed text is compared, since an expression takes longer to compile with each character.
@@ -26,20 +26,18 @@ HEAD = (
     b'<?xml version="1.0" encoding="UTF-8"?>\n'
     b'<dds xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance" xsi:noNamespaceSchemaLocation="'
     b'http://www.omg.org/spec/DDS-SECURITY/20170901/omg_shared_ca_permissions.xsd">\n'
-    b'  <permissions>\n    <grant name="'
+    b'<permissions>\n<grant name="'
 )
-TAIL = (
-    b"      </allow_rule>\n      <default>DENY</default>\n    </grant>\n  </permissions>\n</dds>\n"
-)
+TAIL = b"</allow_rule>\n<default>DENY</default>\n</grant>\n</permissions>\n</dds>\n"
 BETWEEN = re.compile(
     rb"(?P<name>" + _NAME + rb')">\n'
-    rb"      <subject_name>(?P<subject>CN=" + _NAME + rb")</subject_name>\n      <validity>\n"
-    rb"        <not_before>(?P<begin>" + _TIME + rb")</not_before>\n"
-    rb"        <not_after>(?P<end>" + _TIME + rb")</not_after>\n      </validity>\n"
-    rb"      <allow_rule>\n        <domains>\n(?P<ids>(?:          <id>[1-9]?[0-9]</id>\n)+)"
-    rb"        </domains>\n"
-    rb"(?:        <publish>\n(?P<publish>" + _TOPICS + rb")        </publish>\n)?"
-    rb"(?:        <subscribe>\n(?P<subscribe>" + _TOPICS + rb")        </subscribe>\n)?"
+    rb"<subject_name>(?P<subject>CN=" + _NAME + rb")</subject_name>\n<validity>\n"
+    rb"<not_before>(?P<begin>" + _TIME + rb")</not_before>\n"
+    rb"<not_after>(?P<end>" + _TIME + rb")</not_after>\n</validity>\n"
+    rb"<allow_rule>\n<domains>\n(?P<ids>(?:<id>[1-9]?[0-9]</id>\n)+)"
+    rb"</domains>\n"
+    rb"(?:<publish>\n(?P<publish>" + _TOPICS + rb")</publish>\n)?"
+    rb"(?:<subscribe>\n(?P<subscribe>" + _TOPICS + rb")</subscribe>\n)?"
 )
 """One grant with one allow_rule for plain topics, without partitions; lines end with LF."""
 _VALUE = re.compile(r"<(?:id|topic)>([^<]+)<")

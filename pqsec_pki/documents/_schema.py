@@ -9,15 +9,12 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
-from pqsec_pki.documents._xml import parse, problem
-from pqsec_pki.errors import InvalidDocumentError, shown
+from pqsec_pki.documents._xml import MAX_PROBLEMS, invalid, parse, problem
+from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
 from pqsec_pki.problems import Code, Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLSchema, _Element, _LogEntry
-
-MAX_PROBLEMS = 100
-"""More do not help a reader, and a hostile document has a million."""
 
 
 _ONE_AT_A_TIME = Lock()
@@ -102,7 +99,9 @@ def _kind(root: "_Element") -> Kind:
 def _check(root: "_Element", kind: Kind) -> None:
     with _ONE_AT_A_TIME:
         schema = _schema(kind)
-        if schema.validate(root):
+        with library_call(lambda error: invalid(f"cannot be validated: {words_of(error)}")):
+            is_valid = schema.validate(root)
+        if is_valid:
             return
         log: Iterable[_LogEntry] = schema.error_log  # type: ignore[assignment] # lxml-stubs has no __iter__
         problems = tuple(_problems(log))

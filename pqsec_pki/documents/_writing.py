@@ -54,7 +54,7 @@ def permissions_xml(permissions: "Permissions") -> bytes:
 
 
 def _document(kind: Kind, content: Element) -> bytes:
-    return _DOCUMENT.format(kind=kind, content="".join(_lines(content, "  "))).encode()
+    return _DOCUMENT.format(kind=kind, content="".join(_lines(content))).encode()
 
 
 def _valid(xml: bytes) -> bytes:
@@ -62,15 +62,16 @@ def _valid(xml: bytes) -> bytes:
     return xml
 
 
-def _lines(element: Element, indent: str) -> Iterator[str]:
+def _lines(element: Element) -> Iterator[str]:
+    """Without indentation: a stack has little room for permissions in a message."""
     tag, content = element
     if isinstance(content, str):
-        yield f"{indent}<{tag}>{_escaped(content)}</{tag}>\n"
+        yield f"<{tag}>{_escaped(content)}</{tag}>\n"
         return
-    yield f"{indent}<{tag}>\n"
+    yield f"<{tag}>\n"
     for each in content:
-        yield from _lines(each, indent + "  ")
-    yield f"{indent}</{tag.partition(' ')[0]}>\n"
+        yield from _lines(each)
+    yield f"</{tag.partition(' ')[0]}>\n"
 
 
 def _domain_rule(rule: "DomainRule") -> Element:

@@ -5,10 +5,12 @@ each has been used for attacks. Parsing ends for any input: there is a limit on 
 one on depth in libxml2.
 """
 
+from collections.abc import Iterator
 from functools import cache
+from itertools import islice
 from typing import TYPE_CHECKING
 
-from pqsec_pki.errors import InvalidDocumentError, shown
+from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -17,27 +19,71 @@ if TYPE_CHECKING:
 MAX_DOCUMENT = 8 << 20
 """Bytes. The largest document that any stack accepted when measured is 0.5 MB."""
 
+MAX_PROBLEMS = 100
+"""More do not help a reader, and a hostile document has a million."""
 
-def parse(xml: bytes) -> "_Element":
+_MARKUP = {"Comment": "a comment", "ProcessingInstruction": "a processing instruction"}
+_CDATA = "<![CDATA["
+
+
+def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
     """The root element of `xml`, without its comments and processing instructions.
 
     The encoding is found as in XML 1.0, appendix F: by byte order mark, by declaration, else
     UTF-8. InvalidDocumentError, with the line, if it is not well formed, too large or too deep,
-    or has a DOCTYPE.
+    or has a DOCTYPE; and, unless `any_markup`, if a value has a comment, a CDATA section or a
+    processing instruction in it: other readers read another value there.
     """
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
     if len(xml) > MAX_DOCUMENT:
         raise invalid(f"larger than {MAX_DOCUMENT} bytes, so not a document of this kind")
-    try:
+    with library_call(_not_well_formed):
         root = etree.fromstring(xml, _parser())
-    except etree.XMLSyntaxError as error:
-        reason, _, _ = (error.msg or "not XML").partition(", line ")
-        words = f"not well-formed XML: {shown(reason.strip())}"
-        raise invalid(words, error.lineno or 1) from None
     if root.getroottree().docinfo.internalDTD is not None:
         raise invalid("has a DOCTYPE, which is not allowed: remove it")
+    problems = () if any_markup else tuple(islice(_markup_in_values(root), MAX_PROBLEMS))
+    if problems:
+        raise InvalidDocumentError(problems)
+    etree.strip_tags(root, etree.Comment, etree.ProcessingInstruction)
     return root
+
+
+def _not_well_formed(error: BaseException) -> InvalidDocumentError:
+    """With the line that lxml's XMLSyntaxError has; its other errors have none."""
+    reason, _, _ = (getattr(error, "msg", None) or words_of(error)).partition(", line ")
+    line = getattr(error, "lineno", None) or 1
+    return invalid(f"not well-formed XML: {shown(reason.strip())}", line)
+
+
+def _markup_in_values(root: "_Element") -> Iterator[Problem]:
+    """Elements that hold text alone, but not as plain text.
+
+    Fast DDS (tinyxml2) reads a value up to such markup, Python's ElementTree too; Cyclone DDS and
+    OpenSSL-based readers read on: each a value of its own.
+    """
+    from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
+
+    markup: dict[_Element, str] = {}
+    for tag, what in _MARKUP.items():
+        for node in root.iter(getattr(etree, tag)):
+            parent = node.getparent()
+            if parent is not None and _is_value(parent):
+                markup.setdefault(parent, what)
+    if _CDATA in etree.tostring(root, encoding="unicode"):
+        for element in root.iter(etree.Element):
+            if _is_value(element) and _CDATA in etree.tostring(
+                element, encoding="unicode", with_tail=False
+            ):
+                markup.setdefault(element, "a CDATA section")
+    for element, what in markup.items():
+        words = f"readers differ: {what} in a value, where Fast DDS stops reading; write plain text"
+        yield problem(element, words)
+
+
+def _is_value(element: "_Element") -> bool:
+    """Whether it has no element in it."""
+    return next(element.iterchildren("*"), None) is None
 
 
 @cache
@@ -50,8 +96,7 @@ def _parser() -> "XMLParser":
         load_dtd=False,
         dtd_validation=False,
         huge_tree=False,  # so libxml2 stops at depth 256 and at 10 MB of text in one place
-        remove_comments=True,
-        remove_pis=True,
+        strip_cdata=False,  # else nothing shows that a value was in such a section
     )
 
 

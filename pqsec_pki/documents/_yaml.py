@@ -8,14 +8,14 @@ unnoticed mistake. Parsing is by events, so the limits apply during parsing.
 
 import codecs
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents._yaml_guesses import TAG, add_guesses
-from pqsec_pki.errors import InvalidDocumentError, UsageError, shown
+from pqsec_pki.errors import InvalidDocumentError, UsageError, library_call, shown
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -76,14 +76,17 @@ def refused(place: Item | int | None, message: str) -> InvalidDocumentError:
 
 def parse(data: bytes) -> Item:
     """The document's root item; InvalidDocumentError, with the line, if it is not YAML."""
+    text = _decoded(data)
+    return _tree(_events(text))
+
+
+def _events(text: str) -> "Iterator[yaml.Event]":
+    """The events of the text; InvalidDocumentError where the library reads no further."""
     import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
 
     loader = yaml.CSafeLoader if yaml.__with_libyaml__ else yaml.SafeLoader
-    text = _decoded(data)
-    try:
-        return _tree(yaml.parse(text, Loader=loader))
-    except yaml.YAMLError as error:
-        raise _no_yaml(error, text) from None
+    with library_call(lambda error: _no_yaml(error, text)):
+        yield from yaml.parse(text, Loader=loader)
 
 
 def _decoded(data: bytes) -> str:
@@ -106,7 +109,7 @@ def refuse_unseen_ends(text: str) -> None:
         raise refused(line, f"U+{ord(found[0]):04X} ends a line, and editors do not show it so")
 
 
-def _no_yaml(error: "yaml.YAMLError", text: str) -> InvalidDocumentError:
+def _no_yaml(error: BaseException, text: str) -> InvalidDocumentError:
     mark = getattr(error, "problem_mark", None) or getattr(error, "context_mark", None)
     reason = getattr(error, "problem", None) or getattr(error, "reason", None) or "not YAML"
     if "alias" in f"{reason} {getattr(error, 'context', '')}":

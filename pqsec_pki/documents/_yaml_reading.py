@@ -13,7 +13,7 @@ from enum import StrEnum
 from functools import partial
 from typing import Any, TypeVar
 
-from pqsec_pki.documents._schema import MAX_PROBLEMS
+from pqsec_pki.documents._xml import MAX_PROBLEMS
 from pqsec_pki.documents._yaml import Item, Items, Text, YamlMapping, parse, refused
 from pqsec_pki.documents._yaml_guesses import guess
 from pqsec_pki.errors import InvalidDocumentError, UsageError, shown

@@ -156,8 +156,8 @@ def _usual_rules(xml: bytes) -> tuple[DomainRule, ...]:
     """
     xml = with_line_feeds(xml)
     _, _, rest = xml[:_MAX_USUAL].partition(b"<domains>\n")
-    ids = rest.partition(b"</domains>")[0].splitlines()[:-1]
-    numbers = [each.strip().removeprefix(b"<id>").removesuffix(b"</id>") for each in ids]
+    ids = rest.partition(b"</domains>")[0].splitlines()
+    numbers = [each.removeprefix(b"<id>").removesuffix(b"</id>") for each in ids]
     if not numbers or not all(each.isdigit() and len(each) <= _DIGITS for each in numbers):
         return ()
     usual = Governance.protected(DomainSet(parts=tuple(map(int, numbers))))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading
 from pqsec_pki.documents._xml import invalid, parse
+from pqsec_pki.errors import library_call, words_of
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -87,7 +88,7 @@ def read_tree(xml: bytes) -> Tree:
     InvalidDocumentError as for other documents, for more than MAX_ELEMENTS elements, and for an
     element with more than MAX_ATTRIBUTES attributes.
     """
-    root = parse(xml)
+    root = parse(xml, any_markup=True)
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
         raise invalid(f"more than {MAX_ELEMENTS} elements, so not a document of this kind")
     return Tree(
@@ -127,7 +128,9 @@ def _comments(xml: bytes) -> Iterator[Comment]:
     parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_pis=True)
     last: dict[_Element, str] = {}  # parent -> the last element in it so far
     waiting: dict[_Element, list[Comment]] = {}  # comments that no element has followed yet
-    for count, node in enumerate(etree.fromstring(xml, parser).iterdescendants()):
+    with library_call(lambda error: invalid(words_of(error))):
+        root = etree.fromstring(xml, parser)
+    for count, node in enumerate(root.iterdescendants()):
         if count > MAX_ELEMENTS:
             raise invalid(f"more than {MAX_ELEMENTS} elements and comments")
         parent = node.getparent()

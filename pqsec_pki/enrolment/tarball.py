@@ -10,7 +10,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator, Mapping
 
-from pqsec_pki.errors import MalformedError, shown
+from pqsec_pki.errors import MalformedError, library_call, shown, words_of
 
 MAX_ARCHIVE = 32 << 20
 """Bytes, compressed. A participant with profile cnsa2 has 60 kB."""
@@ -29,11 +29,6 @@ _REST = b"0" + bytes(100) + b"ustar\x0000" + bytes(247)
 """What follows the checksum in the header of a plain file: the type, no link, no owner."""
 _GZIPPED = 31
 """The `wbits` of zlib for gzip only."""
-_UNREADABLE = (
-    *(tarfile.TarError, ValueError, EOFError, OSError, RecursionError),
-    *(LookupError, ArithmeticError),  # a sparse map that is cut, a size past every limit
-)
-"""Exceptions that tarfile raises for crafted archives."""
 
 
 def pack(files: Mapping[str, bytes]) -> bytes:
@@ -69,18 +64,18 @@ def unpack(data: bytes) -> dict[str, bytes]:
     content = _inflated(data)
     files: dict[str, bytes] = {}
     end = 0
-    try:
-        with tarfile.open(fileobj=io.BytesIO(content), mode="r:") as tarball:
-            for member in _members(tarball):
-                if member.name in files:
-                    raise MalformedError(f"the archive has {member.name} twice")
-                file = tarball.extractfile(member)
-                files[member.name] = file.read() if file else b""
-                if len(files[member.name]) != member.size:
-                    raise MalformedError(f"the archive ends within {member.name}")
-                end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
-    except _UNREADABLE as error:
-        raise MalformedError(f"not an archive: {error}") from error
+    with (
+        library_call(lambda error: MalformedError(f"not an archive: {words_of(error)}")),
+        tarfile.open(fileobj=io.BytesIO(content), mode="r:") as tarball,
+    ):
+        for member in _members(tarball):
+            if member.name in files:
+                raise MalformedError(f"the archive has {member.name} twice")
+            file = tarball.extractfile(member)
+            files[member.name] = file.read() if file else b""
+            if len(files[member.name]) != member.size:
+                raise MalformedError(f"the archive ends within {member.name}")
+            end = member.offset_data + -(-member.size // tarfile.BLOCKSIZE) * tarfile.BLOCKSIZE
     if content[end:].strip(b"\0"):  # tarfile reports an end where it cannot read on
         raise MalformedError("the archive has something after its last file")
     return files
@@ -92,10 +87,8 @@ def _inflated(data: bytes) -> bytes:
     if not data.startswith(_GZIP):
         raise MalformedError("not an archive of pqsec: no plain gzip header")
     machine = zlib.decompressobj(_GZIPPED)
-    try:
+    with library_call(lambda error: MalformedError(f"the archive is damaged: {words_of(error)}")):
         content = machine.decompress(data, MAX_CONTENT + 1)
-    except zlib.error as error:
-        raise MalformedError(f"the archive is damaged: {error}") from error
     if len(content) > MAX_CONTENT:
         raise MalformedError(f"the archive has more than {MAX_CONTENT} bytes of content")
     if not machine.eof:

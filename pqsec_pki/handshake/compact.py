@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from pqsec_pki._der import leading
 from pqsec_pki.algorithms import pem, unpem
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import MalformedError, VerificationError, library_call
 from pqsec_pki.handshake._checks import check
 from pqsec_pki.handshake.wire import BinaryProperty
 from pqsec_pki.problems import Code
@@ -173,10 +173,9 @@ def _deflated(certificate: bytes, permissions: bytes) -> bytes:
 def _inflated(data: bytes) -> tuple[bytes, bytes]:
     """The certificate (PEM) and the signed document; MalformedError if they are not canonical."""
     inflater = zlib.decompressobj(wbits=_RAW, zdict=CREDENTIALS_DICTIONARY)
-    try:
+    words = "the credentials are not deflated with pqsec's dictionary"
+    with library_call(lambda _: MalformedError(words)):
         whole = inflater.decompress(data, MAX_CREDENTIALS + 1)
-    except zlib.error:
-        raise MalformedError("the credentials are not deflated with pqsec's dictionary") from None
     if len(whole) > MAX_CREDENTIALS:
         raise MalformedError(f"credentials larger than {MAX_CREDENTIALS} bytes")
     if not inflater.eof or inflater.unused_data:

@@ -13,10 +13,9 @@ import struct
 from collections.abc import Sequence
 from threading import Lock
 
-from cryptography.exceptions import InvalidTag
 from cryptography.hazmat.primitives.ciphers.aead import AESGCM
 
-from pqsec_pki.errors import MalformedError, UsageError, VerificationError
+from pqsec_pki.errors import MalformedError, UsageError, VerificationError, library_call
 from pqsec_pki.handshake._cdr import ByteOrder, CdrReader, CdrWriter
 from pqsec_pki.handshake._secured import (
     ALIGNED,
@@ -212,12 +211,11 @@ def _plaintext(body: Frame) -> bytes:
 
 def _opened(material: KeyMaterial, header: CryptoHeader, content: bytes, tag: bytes) -> bytes:
     cipher = AESGCM(material.session_key(header.session_id))
-    try:
+    words = "the two sides have different keys, or the data changed"
+    with library_call(lambda _: VerificationError(words)):
         if material.kind.encrypts:
             return cipher.decrypt(header.iv, content + tag, None)
         cipher.decrypt(header.iv, tag, content)
-    except InvalidTag:
-        raise VerificationError("the two sides have different keys, or the data changed") from None
     return content
 
 

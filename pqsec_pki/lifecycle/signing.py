@@ -4,7 +4,7 @@ Keys and certificates stay as they are. The new document replaces the old one, a
 line is written, in one change.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
@@ -13,7 +13,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.approvals import Covered
-from pqsec_pki.documents import Governance, Kind
+from pqsec_pki.documents import Governance, Kind, Permissions
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
@@ -29,6 +29,11 @@ from pqsec_pki.lifecycle._issuer import stage_permissions
 from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, refuse_growth
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
 from pqsec_pki.transparency import TreeHead
+
+_DOCUMENTS: Mapping[Kind, type[Governance] | type[Permissions]] = {
+    Kind.GOVERNANCE: Governance,
+    Kind.PERMISSIONS: Permissions,
+}
 
 
 def sign_permissions(
@@ -98,11 +103,14 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     embed_certificate: bool = False,
     force: bool = False,
 ) -> bytes:
-    """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
+    """Sign the meaning of `document` into the file `goal`, anywhere, and enter it in the ledger.
 
-    If `goal` is a document of the keystore, its XML file is replaced in the same change.
-    ExistsError if `goal` exists, unless `force`; then nothing is entered.
+    What is signed has the form of `Governance.to_xml` or `Permissions.to_xml`, without comments. If
+    `goal` is a document of the keystore, its XML file is replaced in the same change.
+    ExistsError if `goal` exists, unless `force`; then nothing is entered. InvalidDocumentError if
+    `document` is not valid, UsageError for a time that no stack understands.
     """
+    document = _DOCUMENTS[kind].from_xml(document).to_xml()
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)

@@ -4,12 +4,19 @@ import re
 from functools import lru_cache
 
 from cryptography import x509
-from cryptography.exceptions import InvalidSignature, UnsupportedAlgorithm
+from cryptography.exceptions import InvalidSignature
 
 from pqsec_pki._asn1 import Oid, SubjectPublicKeyInfo, decode, encode
 from pqsec_pki.algorithms import Family, PublicKey, load_public_key
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import PqsecError, UnknownAlgorithmError
+from pqsec_pki.errors import (
+    MalformedError,
+    PqsecError,
+    UnknownAlgorithmError,
+    VerificationError,
+    library_call,
+    words_of,
+)
 
 UNREADABLE = "unreadable"
 _RSA, _EC = "1.2.840.113549.1.1.1", "1.2.840.10045.2.1"
@@ -73,13 +80,20 @@ def is_signed_by(certificate: Certificate, issuer: Certificate) -> bool:
 def _is_signed_otherwise(certificate: Certificate, issuer: Certificate) -> bool:
     """Check signatures that pqsec does not create: other curves, RSASSA-PSS, SHA-1."""
     try:
-        signer = x509.load_der_x509_certificate(issuer.der)
-        x509.load_der_x509_certificate(certificate.der).verify_directly_issued_by(signer)
-    except (InvalidSignature, ValueError):
+        with library_call(_not_verified):
+            signer = x509.load_der_x509_certificate(issuer.der)
+            x509.load_der_x509_certificate(certificate.der).verify_directly_issued_by(signer)
+    except VerificationError:
         return False
-    except (TypeError, UnsupportedAlgorithm):
+    except UnknownAlgorithmError:
         return True
     return True
+
+
+def _not_verified(error: BaseException) -> PqsecError:
+    if isinstance(error, InvalidSignature | ValueError):
+        return VerificationError("the issuer did not sign it")
+    return UnknownAlgorithmError("the library cannot check this kind of signature")
 
 
 def family_of(certificate: Certificate) -> Family:
@@ -120,6 +134,7 @@ def _foreign_kind(spki: bytes, der: bytes) -> str:
 
 def _size(der: bytes) -> int:
     try:
-        return int(getattr(x509.load_der_x509_certificate(der).public_key(), "key_size", 0))
-    except (ValueError, TypeError):
+        with library_call(lambda error: MalformedError(words_of(error))):
+            return int(getattr(x509.load_der_x509_certificate(der).public_key(), "key_size", 0))
+    except MalformedError:
         return 0

@@ -19,7 +19,14 @@ from pqsec_pki._files import read
 from pqsec_pki.algorithms import broken_digest
 from pqsec_pki.certificates import Certificate, RevocationList, verify_not_revoked
 from pqsec_pki.domain import Member
-from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located, shown
+from pqsec_pki.errors import (
+    PqsecError,
+    UsageError,
+    VerificationError,
+    library_call,
+    located,
+    words_of,
+)
 from pqsec_pki.server.configuration import FactoryFiles
 from pqsec_pki.server.requester import NotAdmittedError
 
@@ -76,11 +83,9 @@ class Factory:
         if len(between) > MOST_CAS:
             raise VerificationError(f"it comes with more than {MOST_CAS} certificates of CAs")
         untrusted = [_parsed(each) for each in between]
-        try:
+        with library_call(lambda error: VerificationError(words_of(error))):
             found = crypto.X509StoreContext(store, _parsed(device.der), untrusted)
             chain = found.get_verified_chain()
-        except crypto.X509StoreContextError as error:
-            raise VerificationError(shown(str(error))) from None
         return [_certificate(each) for each in chain[1:]]
 
     def _refuse_revoked(self, certificate: Certificate, issuer: Certificate, now: datetime) -> None:
@@ -129,10 +134,8 @@ def _list_at(path: Path) -> RevocationList:
 
 
 def _parsed(der: bytes) -> crypto.X509:
-    try:
+    with library_call(lambda _: VerificationError("OpenSSL cannot read it as a certificate")):
         return crypto.load_certificate(crypto.FILETYPE_ASN1, der)
-    except crypto.Error:
-        raise VerificationError("OpenSSL cannot read it as a certificate") from None
 
 
 def _certificate(found: crypto.X509) -> Certificate:

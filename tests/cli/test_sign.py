@@ -76,6 +76,24 @@ def test_the_keystores_governance_is_edited_signed_and_counts(pqsec, keystore):
     pqsec("-k k verify-handshake /a /b --domain 5").done()
 
 
+@pytest.mark.parametrize("kind", KINDS)
+def test_comments_are_not_signed_and_it_is_told_that_the_keystores_file_loses_them(
+    pqsec, keystore, tmp_path, kind
+):
+    """What is signed has one form: all readers have the same text before them."""
+    file = keystore() / WHERE[kind]
+    text = file.read_text()
+    commented = text.replace("</dds>", "<!-- mine -->\n</dds>").replace("\n<", "\n    <")
+    (tmp_path / "mine.xml").write_text(commented)
+    assert pqsec(f"-k k sign-{kind} mine.xml").done().err == ""
+    assert (tmp_path / "mine.xml").read_text() == commented
+    signed = (tmp_path / "mine.p7s").read_bytes().replace(b"\r\n", b"\n")
+    assert text.encode() in signed
+    file.write_text(commented)
+    assert "without its comments" in pqsec(f"-k k sign-{kind} {file} --force").done().err
+    assert file.read_text() == text
+
+
 # What breaks the schema
 
 
@@ -355,4 +373,4 @@ def test_an_older_xml_beside_a_copy_elsewhere_is_told(pqsec, keystore, tmp_path)
     new = edited(k, "permissions")
     (tmp_path / "out.xml").write_bytes((k / WHERE["permissions"]).with_suffix(".xml").read_bytes())
     said = pqsec(f"-k k sign-permissions {new} -o out.p7s").done()
-    assert "out.xml differs from the document that was signed" in said.err
+    assert "out.xml says something else than what was signed" in said.err

@@ -108,7 +108,7 @@ def test_anything_else_is_not_plain(change):
 
 
 def test_a_large_document_is_read_like_any_other():
-    topics = tuple(f"rt/topic{number}" for number in range(MAX_PLAIN // 30))
+    topics = tuple(f"rt/topic{number}" for number in range(MAX_PLAIN // 20))
     xml = permissions(topics)
     assert len(xml) > MAX_PLAIN
     assert type(document_of(xml)) is PermissionsFile

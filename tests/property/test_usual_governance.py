@@ -43,8 +43,8 @@ def test_a_document_with_any_other_octet_is_read_by_the_parser(data):
     [
         USUAL.replace(b"<id>7</id>", b"<id>07</id>"),
         USUAL.replace(b"<id>7</id>", b"<id>+7</id>"),
-        USUAL.replace(b"        <id>7</id>\n", b""),
-        USUAL.replace(b"  <domain_access_rules>", b"  <!-- --><domain_access_rules>"),
+        USUAL.replace(b"<id>7</id>\n", b""),
+        USUAL.replace(b"<domain_access_rules>", b"<!-- --><domain_access_rules>"),
         USUAL + b"\n",
         USUAL.replace(b">*<", b">rt/*<"),
         USUAL.replace(b">SIGN<", b">NONE<"),

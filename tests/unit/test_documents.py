@@ -1,5 +1,6 @@
 """Governance and permissions: what is written, what is read, what is refused."""
 
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
@@ -83,36 +84,36 @@ def problems_of(xml, read=validate):
 def test_permissions_are_written_in_the_one_form_every_stack_takes():
     grant = least(subscribe=["rt/a", "rt/b"], domains=DomainSet.of(0, DomainRange(first=5, last=9)))
     assert Permissions(grants=(grant,)).to_xml().decode() == HEAD + (
-        "  <permissions>\n"
-        '    <grant name="CN=/talker">\n'
-        "      <subject_name>CN=/talker</subject_name>\n"
-        "      <validity>\n"
-        "        <not_before>2026-01-01T00:00:00Z</not_before>\n"
-        "        <not_after>2027-01-01T00:00:00Z</not_after>\n"
-        "      </validity>\n"
-        "      <allow_rule>\n"
-        "        <domains>\n"
-        "          <id>0</id>\n"
-        "          <id_range>\n"
-        "            <min>5</min>\n"
-        "            <max>9</max>\n"
-        "          </id_range>\n"
-        "        </domains>\n"
-        "        <publish>\n"
-        "          <topics>\n"
-        "            <topic>rt/chatter</topic>\n"
-        "          </topics>\n"
-        "        </publish>\n"
-        "        <subscribe>\n"
-        "          <topics>\n"
-        "            <topic>rt/a</topic>\n"
-        "            <topic>rt/b</topic>\n"
-        "          </topics>\n"
-        "        </subscribe>\n"
-        "      </allow_rule>\n"
-        "      <default>DENY</default>\n"
-        "    </grant>\n"
-        "  </permissions>\n"
+        "<permissions>\n"
+        '<grant name="CN=/talker">\n'
+        "<subject_name>CN=/talker</subject_name>\n"
+        "<validity>\n"
+        "<not_before>2026-01-01T00:00:00Z</not_before>\n"
+        "<not_after>2027-01-01T00:00:00Z</not_after>\n"
+        "</validity>\n"
+        "<allow_rule>\n"
+        "<domains>\n"
+        "<id>0</id>\n"
+        "<id_range>\n"
+        "<min>5</min>\n"
+        "<max>9</max>\n"
+        "</id_range>\n"
+        "</domains>\n"
+        "<publish>\n"
+        "<topics>\n"
+        "<topic>rt/chatter</topic>\n"
+        "</topics>\n"
+        "</publish>\n"
+        "<subscribe>\n"
+        "<topics>\n"
+        "<topic>rt/a</topic>\n"
+        "<topic>rt/b</topic>\n"
+        "</topics>\n"
+        "</subscribe>\n"
+        "</allow_rule>\n"
+        "<default>DENY</default>\n"
+        "</grant>\n"
+        "</permissions>\n"
         "</dds>\n"
     )
 
@@ -467,14 +468,46 @@ def test_byte_order_marks_and_declared_encodings_are_understood(encoding):
     assert grant.rules[0].publish[0].topics == ("é",)
 
 
-def test_comments_and_cdata_do_not_cut_a_text_short():
-    rules = allowing("<id>1<!-- not 12 --></id>").replace(
-        "</allow",
-        "<publish><topics><topic>rt/<!-- x -->a<?y z?><![CDATA[<b>]]>c</topic></topics></publish>"
-        "</allow",
+MARKUP = {"a comment": "<!-- x -->", "a CDATA section": "<![CDATA[x]]>", "a processing": "<?y z?>"}
+PARTS = (
+    "<publish><partitions><partition>P</partition></partitions><topics><topic>T</topic></topics>"
+    "<data_tags><tag><name>a</name><value>1</value></tag></data_tags></publish>"
+)
+EVERY_VALUE = {
+    Permissions: document(
+        rules=allowing("<id>0</id><id_range><min>3</min><max>4</max></id_range>").replace(
+            "</allow", f"{PARTS}</allow"
+        )
+    ),
+    Governance: Governance.protected(DomainSet.parse("0,2-3")).to_xml(),
+}
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "utf-7"])
+@pytest.mark.parametrize("markup", MARKUP)
+@pytest.mark.parametrize("kind", EVERY_VALUE, ids=lambda kind: kind.__name__)
+def test_a_value_with_markup_in_it_is_refused_since_fast_dds_stops_reading_there(
+    kind, markup, encoding
+):
+    text = EVERY_VALUE[kind].decode().replace("UTF-8", encoding)
+    values = [*re.finditer("<([a-z_]+)>([^<>]+)</", text)]
+    assert len(values) > 10
+    for value in values:
+        for place in (value.start(2), value.start(2) + 1, value.end(2)):
+            spoiled = f"{text[:place]}{MARKUP[markup]}{text[place:]}".encode(encoding)
+            with pytest.raises(InvalidDocumentError) as refused:
+                kind.from_xml(spoiled)
+            [problem] = refused.value.problems
+            assert problem.message.startswith(f"readers differ: {markup}")
+            assert (problem.element, problem.line) == (value[1], text.count("\n", 0, place) + 1)
+
+
+@pytest.mark.parametrize("kind", EVERY_VALUE, ids=lambda kind: kind.__name__)
+def test_comments_between_elements_change_no_value(kind):
+    plain = EVERY_VALUE[kind]
+    assert kind.from_xml(re.sub(rb">(\s*)<", rb">\1<!-- x --><?y z?><", plain)) == kind.from_xml(
+        plain
     )
-    [grant] = Permissions.from_xml(document(rules=rules)).grants
-    assert grant.rules[0].publish[0].topics == ("rt/a<b>c",)
 
 
 def test_criteria_are_read_in_any_order_and_tags_with_several_pairs():

@@ -30,10 +30,10 @@ PERMISSIONS = (
     .to_xml()
     .decode()
 )
-GRANT = PERMISSIONS[PERMISSIONS.index("    <grant") : PERMISSIONS.index("  </permissions")]
-ALLOW = GRANT[GRANT.index("      <allow_rule") : GRANT.index("      <default")]
+GRANT = PERMISSIONS[PERMISSIONS.index("<grant") : PERMISSIONS.index("</permissions")]
+ALLOW = GRANT[GRANT.index("<allow_rule") : GRANT.index("<default")]
 DENY = ALLOW.replace("allow_rule", "deny_rule")
-PUBLISH = ALLOW[ALLOW.index("        <publish") : ALLOW.index("        <subscribe")]
+PUBLISH = ALLOW[ALLOW.index("<publish") : ALLOW.index("<subscribe")]
 [TOPIC_RULE] = re.findall(r"(?s) *<topic_rule>.*?</topic_rule>\n", GOVERNANCE)
 OPEN_RULE = TOPIC_RULE.replace("read_access_control>true", "read_access_control>false")
 [DOMAIN_RULE] = re.findall(r"(?s) *<domain_rule>.*</domain_rule>\n", GOVERNANCE)

@@ -533,10 +533,11 @@ def test_a_ca_that_expired_cannot_stay(keystore):
 def test_who_unlocked_the_cas_before_cannot_issue_after(keystore):
     old = keystore.unlock(None)
     new = rotated(keystore).keystore
+    governance = (new.root / "enclaves/governance.xml").read_bytes()
     for work in (
         lambda: renew(new, old, ["/talker"], now=LATER),
         lambda: revoke(new, old, ["/talker"], now=LATER),
-        lambda: sign_document(new, Kind.GOVERNANCE, b"", new.root / "x.p7s", old, now=LATER),
+        lambda: sign_document(new, Kind.GOVERNANCE, governance, new.root / "x.p7s", old, now=LATER),
     ):
         with pytest.raises(KeystoreError, match="has been replaced by another CA meanwhile"):
             work()
