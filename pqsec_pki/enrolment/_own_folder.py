@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from pqsec_pki._locks import lock, unshared
 from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import KeystoreError
 
@@ -30,8 +31,9 @@ def locked(root: Path) -> Iterator[None]:
     """Lock the folder for this process; KeystoreError if another process has the lock."""
     handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
+        with unshared(handle):
+            lock(handle, fcntl.LOCK_EX)
+            yield
     except BlockingIOError:
         raise KeystoreError(f"{root}: another pqsec command is using this folder") from None
     finally:

@@ -16,6 +16,7 @@ Links in existing folders are only recorded, and created during the moves: to ad
 ten thousand enclaves, no enclave is staged.
 """
 
+import errno
 import os
 import secrets
 import shutil
@@ -41,6 +42,9 @@ from pqsec_pki.keystore.layout import JOURNAL, PREPARED
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
     from pqsec_pki.keystore.authorities import Authorities
+
+_LAST_FILES = 20
+"""How often a folder is emptied again: forks of a killed command end soon after it."""
 
 
 @contextmanager
@@ -207,9 +211,22 @@ def _sweep(root: Folder) -> None:
         if not name.startswith(DRAFT):
             continue
         if root.kind(name) == stat.S_IFDIR:
-            shutil.rmtree(name, dir_fd=root.handle)
+            _remove_tree(root, name)
         else:
             os.unlink(name, dir_fd=root.handle)
+
+
+def _remove_tree(root: Folder, name: str) -> None:
+    """Remove a folder with a killed command's files, to which a fork of it may still add some."""
+    for _ in range(_LAST_FILES):
+        try:
+            shutil.rmtree(name, dir_fd=root.handle)
+        except OSError as error:
+            if error.errno != errno.ENOTEMPTY:
+                raise
+        else:
+            return
+    shutil.rmtree(name, dir_fd=root.handle)
 
 
 @contextmanager
