@@ -74,7 +74,6 @@ class Listening:
             self._ports.append(_adopted(bound(settings.status), pages))
         for number, handler in ((signal.SIGTERM, self._stop), (signal.SIGHUP, self._reload)):
             signal.signal(number, lambda *_, call=handler: reactor.callFromThread(call))
-        signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client may go at any time
         signal.signal(signal.SIGINT, signal.getsignal(signal.SIGTERM))
         stay()
         log({"event": "the server listens", "url": settings.url, "addresses": addresses})

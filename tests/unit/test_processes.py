@@ -278,7 +278,8 @@ def test_a_worker_has_no_pipe_or_socket_of_its_parent(tmp_path):
         processes._cores = lambda: 8
         kept = os.pipe(), socket.socketpair()
         def work(n):
-            names = (f"/proc/self/fd/{each}" for each in os.listdir("/proc/self/fd") if int(each) > 2)
+            handles = [each for each in os.listdir("/proc/self/fd") if int(each) > 2]
+            names = [f"/proc/self/fd/{each}" for each in handles]
             found = [os.readlink(each) for each in names if os.path.lexists(each)]
             return os.getpid(), [each for each in found if each.startswith(("pipe:", "socket:"))]
         print(json.dumps([os.getpid(), shared_out(work, list(range(200)))]))
