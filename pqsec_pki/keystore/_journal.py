@@ -27,6 +27,7 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
+from pqsec_pki import _drafts
 from pqsec_pki._files import disk_errors, sync_filesystem
 from pqsec_pki.errors import InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
@@ -37,7 +38,7 @@ from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.layout import JOURNAL, PREPARED
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -81,7 +82,7 @@ def change(
                 except BaseException:
                     shutil.rmtree(name, ignore_errors=True, dir_fd=folder.handle)
                     raise
-            _moves.finish(folder)
+            _finish(folder)
 
 
 @contextmanager
@@ -104,10 +105,27 @@ def recover(root: Path) -> bool:
 
     Errors as with `change`.
     """
-    if not _is_interrupted(root):
+    if not is_interrupted(root):
         return False
     with _disk_errors(root), locked(root) as folder:
         return _settle(folder)
+
+
+def resume(root: Path) -> bool:
+    """Finish the change that began the keystore at `root`; True if there was an unfinished one.
+
+    Also if only its temporary files were left. Errors as with `change`.
+    """
+    left = False
+    with disk_errors(root), suppress(FileNotFoundError, NotADirectoryError):
+        left = any(each.name.startswith((JOURNAL, DRAFT)) for each in root.iterdir())
+    if not left:
+        return False
+    with _disk_errors(root), locked(root) as folder:
+        began = _moves.began(folder)
+        _settle(folder)
+        _sweep(folder)
+    return began
 
 
 def check(root: Path) -> None:
@@ -121,7 +139,7 @@ def refuse_interrupted(root: Path) -> None:
 
     Nothing is altered. FileError for a disk error.
     """
-    if _is_interrupted(root):
+    if is_interrupted(root):
         with disk_errors(root), suppress(FileNotFoundError), at_rest(root) as folder:
             if not {folder.kind(JOURNAL), folder.kind(PREPARED)} <= {None}:
                 raise InterruptedChangeError(
@@ -130,8 +148,11 @@ def refuse_interrupted(root: Path) -> None:
                 )
 
 
-def _is_interrupted(root: Path) -> bool:
-    """Whether there is a journal. FileError names the keystore: no user knows the journal."""
+def is_interrupted(root: Path) -> bool:
+    """Whether a change is unfinished, or at work.
+
+    FileError names the keystore: no user knows the journal.
+    """
     return any(_is_there(root, name) for name in (JOURNAL, PREPARED))
 
 
@@ -150,7 +171,7 @@ def _is_there(root: Path, name: str) -> bool:
 def _settle(root: Folder) -> bool:
     """Finish or drop the change that a killed command left; True if one was finished."""
     finished = root.kind(JOURNAL) is not None
-    _moves.finish(root)
+    _finish(root)
     if (commitment := _moves.prepared_change(root)) is None:
         return finished
     try:
@@ -165,11 +186,24 @@ def _settle(root: Folder) -> bool:
         ) from error
     if committed:
         _rename(root, PREPARED, JOURNAL)
-        _moves.finish(root)
+        _finish(root)
     else:
         _rename(root, PREPARED, f"{DRAFT}{secrets.token_hex(8)}")
         _sweep(root)
     return committed
+
+
+def _finish(root: Folder) -> None:
+    """Execute the journal, if there is one. InterruptedChangeError if the disk refuses."""
+    try:
+        _moves.finish(root)
+    except OSError as error:
+        raise InterruptedChangeError(
+            f"{root.path}: the change is committed, and not all files are in place:"
+            f" {(error.strerror or str(error)).lower()}",
+            hint="do not repeat it: when that is repaired, the next command that changes the"
+            f" keystore completes it, or `pqsec -k {quote(root.path)} ca recover`",
+        ) from error
 
 
 def _rename(root: Folder, old: str, new: str) -> None:
@@ -214,6 +248,9 @@ def _sweep(root: Folder) -> None:
             _remove_tree(root, name)
         else:
             os.unlink(name, dir_fd=root.handle)
+    _drafts.sweep(root.handle)
+    with suppress(FileNotFoundError), root.below(PRIVATE) as private:
+        _drafts.sweep(private.handle, SEEN)
 
 
 def _remove_tree(root: Folder, name: str) -> None:

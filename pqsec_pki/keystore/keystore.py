@@ -148,10 +148,12 @@ class Keystore:
     def refuse_occupied(root: Path) -> None:
         """ExistsError if the folder `root` has any part of a keystore already."""
         if taken := _parts_in(root):
-            raise ExistsError(
-                f"{root} already has {', '.join(taken)}",
-                hint="CA keys are never overwritten: choose another folder",
-            )
+            hint = "CA keys are never overwritten: choose another folder"
+            if _journal.is_interrupted(root):
+                hint = (
+                    f"a killed command began it: `pqsec -k {quote(str(root))} ca recover` ends that"
+                )
+            raise ExistsError(f"{root} already has {', '.join(taken)}", hint=hint)
 
     @property
     def identity_ca(self) -> Certificate:

@@ -33,6 +33,7 @@ GROUND = {
     "_csv",
     "_dataclass",
     "_der",
+    "_drafts",
     "_files",
     "_lazy",
     "_locks",
