@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from io import FileIO
 from pathlib import Path
 
-from pqsec_pki._drafts import draft_file
+from pqsec_pki._drafts import draft_file, draft_folder
 from pqsec_pki._owners import user
 from pqsec_pki.errors import ExistsError, FileError, MissingError
 
@@ -257,6 +257,29 @@ def _rename_new(draft: Path, path: Path) -> None:
         draft.rename(path)
     finally:
         os.close(folder)
+
+
+def refuse_without_links(folder: Path, what: str, *, hard: bool = False) -> None:
+    """FileError if the file system of `folder`, which may be new, has no symbolic links.
+
+    With `hard` it needs hard links too; `what` needs them. It is asked in a draft.
+    """
+    place = next((each for each in (folder, *folder.absolute().parents) if exists(each)), folder)
+    with disk_errors(folder, drafting=True), draft_folder(str(place)) as draft:
+        create(f"{draft}/file", b"", mode=PRIVATE_MODE)
+        try:
+            Path(draft, "link").symlink_to("file")
+            if hard:
+                os.link(f"{draft}/file", f"{draft}/name")
+        except OSError as error:
+            if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}:
+                raise
+            raise FileError(
+                f"has a file system without links, which {what} needs",
+                where=folder,
+                hint="choose a folder on ext4, XFS or Btrfs; exFAT and FAT are for bundles,"
+                " requests, lists and reports",
+            ) from error
 
 
 def _refuse_devices(path: Path) -> None:

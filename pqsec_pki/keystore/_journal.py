@@ -29,7 +29,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki import _drafts
 from pqsec_pki._files import disk_errors, sync_filesystem
-from pqsec_pki.errors import InterruptedChangeError, KeystoreError
+from pqsec_pki.errors import FileError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._folder import Folder
@@ -194,13 +194,14 @@ def _settle(root: Folder) -> bool:
 
 
 def _finish(root: Folder) -> None:
-    """Execute the journal, if there is one. InterruptedChangeError if the disk refuses."""
+    """Execute the journal, if there is one. FileError, with the way out, if the disk refuses."""
     try:
         _moves.finish(root)
     except OSError as error:
-        raise InterruptedChangeError(
-            f"{root.path}: the change is committed, and not all files are in place:"
+        raise FileError(
+            "the change is committed, and not all files are in place:"
             f" {(error.strerror or str(error)).lower()}",
+            where=root.path,
             hint="do not repeat it: when that is repaired, the next command that changes the"
             f" keystore completes it, or `pqsec -k {quote(root.path)} ca recover`",
         ) from error

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Self
 
 from pqsec_pki import credentials
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, exists, read, read_within, real_path
+from pqsec_pki._files import (
+    disk_errors,
+    exists,
+    read,
+    read_within,
+    real_path,
+    refuse_without_links,
+)
 from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
@@ -82,6 +89,7 @@ class Keystore:
         domains that stacks read differently.
         """
         cls.refuse_occupied(root)
+        refuse_without_links(root, "a keystore", hard=True)
         settings = _settings.settings_file(profile, domains, ledger)
         authorities = Authorities.create(profile, name, now=now, validity=validity, keys=keys)
         governance = Governance.protected(domains).to_xml()

@@ -12,7 +12,7 @@ from pathlib import Path
 from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import disk_errors, read, refuse_without_links
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
@@ -97,6 +97,7 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
     if resume(root):
         return _resumed(root, now)
     _refuse_unfit(root)
+    refuse_without_links(root, "a keystore", hard=True)
     with change(root) as transaction:
         _refuse_unfit(root)
         keystore, scan, fitting = _scanned(root, now)

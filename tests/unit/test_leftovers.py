@@ -17,7 +17,7 @@ from pqsec_pki import _drafts
 from pqsec_pki._drafts import draft_file, draft_folder
 from pqsec_pki._files import write
 from pqsec_pki.enrolment.credential_store import changing
-from pqsec_pki.errors import ExistsError, InterruptedChangeError, PqsecError
+from pqsec_pki.errors import ExistsError, FileError, InterruptedChangeError, PqsecError
 from pqsec_pki.keystore import Keystore, _journal, _lock, audit, change
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore.layout import JOURNAL
@@ -235,8 +235,9 @@ def test_a_disk_that_refuses_after_the_commit_is_told_as_half_a_change(place, co
         def work(root=root, said=said):
             try:
                 issue_to(root, "/a")
-            except InterruptedChangeError as error:
-                said.write_text(f"{error} {error.hint}")
+            except FileError as error:
+                if "the change is committed" in str(error):
+                    said.write_text(str(error.hint))
                 raise
 
         done = fails_with(code, calls, work)
@@ -244,7 +245,6 @@ def test_a_disk_that_refuses_after_the_commit_is_told_as_half_a_change(place, co
         assert said.exists() == half
         if half:
             told += 1
-            assert "the change is committed" in said.read_text()
             assert "ca recover" in said.read_text()
             with pytest.raises(InterruptedChangeError):
                 Keystore.open(root)
