@@ -264,7 +264,7 @@ def refuse_without_links(folder: Path, what: str, *, hard: bool = False) -> None
 
     With `hard` it needs hard links too; `what` needs them. It is asked in a draft.
     """
-    place = next((each for each in (folder, *folder.absolute().parents) if exists(each)), folder)
+    place = next((each for each in (folder, *folder.parents) if exists(each)), folder)
     with disk_errors(folder, drafting=True), draft_folder(str(place)) as draft:
         create(f"{draft}/file", b"", mode=PRIVATE_MODE)
         try:

@@ -29,15 +29,20 @@ class _Output(io.FileIO):
             raise ReaderGoneError from None
 
 
+_own: list[TextIO] = []
+"""The stderr that `watch` replaced."""
+
+
 def watch() -> None:
     """From now on a write to a stream without a reader raises ReaderGoneError."""
+    _own[:] = [sys.stderr]
     sys.stdout, sys.stderr = _watched(sys.stdout), _watched(sys.stderr)
 
 
 def stay() -> None:
     """Undo `watch` for stderr: a server goes on if nobody reads its log."""
-    if sys.__stderr__:
-        sys.stderr = sys.__stderr__
+    if _own:
+        sys.stderr = _own.pop()
 
 
 def end() -> NoReturn:

@@ -93,6 +93,8 @@ class FileComparison:
         if not self._changed:
             return
         data = json.dumps(self._seen, separators=(",", ":")).encode()
+        if len(data) > _MAX_SEEN:
+            return
         with suppress(OSError, PqsecError), Folder.opened(self._root) as root:
             root.refuse_outsiders()
             with root.below(layout.PRIVATE) as private:

@@ -213,6 +213,7 @@ def _rename(root: Folder, old: str, new: str) -> None:
 
 
 def _commit(transaction: Transaction, name: str) -> None:
+    transaction.refuse_full_ledger()
     transaction.sign_head()
     transaction.refuse_folders()
     transaction.add_to_database()

@@ -18,7 +18,7 @@ from operator import attrgetter
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
-from pqsec_pki.errors import KeystoreError, UsageError
+from pqsec_pki.errors import KeystoreError, TooLargeError, UsageError
 from pqsec_pki.keystore import _file_store, _shredding, layout
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._chain import Entry
@@ -90,7 +90,10 @@ class _Moves:
 
 
 def write(transaction: Transaction) -> None:
-    """Record the steps after the commit in the staged change's folder."""
+    """Record the steps after the commit in the staged change's folder.
+
+    TooLargeError if they could not be read again.
+    """
     moves = {
         "targets": transaction.targets,
         "links": transaction.links,
@@ -100,7 +103,10 @@ def write(transaction: Transaction) -> None:
         "in_database": transaction.database is not None,
         "commitment": _commitment(transaction),
     }
-    create(MOVES, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=transaction.made.handle)
+    data = json.dumps(moves).encode()
+    hint = "change fewer participants at once: give names, or a part of the fleet"
+    TooLargeError.check("the list of what to do", len(data), _MAX_SIZE, hint=hint)
+    create(MOVES, data, mode=PRIVATE_MODE, folder=transaction.made.handle)
 
 
 def _commitment(transaction: Transaction) -> dict[str, object] | None:
