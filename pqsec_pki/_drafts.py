@@ -31,8 +31,7 @@ def draft_file(folder: Place, name: str) -> Iterator[tuple[str, int]]:
 
     It is removed at the end unless it was renamed. `name` is that of its target. OSError.
     """
-    swept = sweep(folder, name)
-    with _at(folder) as handle:
+    with swept(folder, name), _at(folder) as handle:
         draft, file = _claimed(handle, _make_file)
         try:
             yield draft, file
@@ -40,8 +39,6 @@ def draft_file(folder: Place, name: str) -> Iterator[tuple[str, int]]:
             with suppress(FileNotFoundError):
                 os.unlink(draft, dir_fd=handle)
             os.close(file)
-            if swept and isinstance(folder, str):  # a descriptor may become that of another folder
-                _left[folder] = os.fstat(handle).st_mtime_ns
 
 
 @contextmanager
@@ -57,6 +54,17 @@ def draft_folder(folder: str) -> Iterator[str]:
         os.close(lock)
 
 
+@contextmanager
+def swept(folder: Place, *names: str) -> Iterator[None]:
+    """Within it, this process changes `folder`, after `sweep`."""
+    clean = sweep(folder, *names)
+    try:
+        yield
+    finally:
+        if clean:
+            _note(folder)
+
+
 def sweep(folder: Place, *names: str) -> bool:
     """Remove drafts in `folder` that no process uses any more; whether none is left.
 
@@ -70,8 +78,17 @@ def sweep(folder: Place, *names: str) -> bool:
         there = os.listdir(handle)  # noqa: PTH208 -- a Path has no handle
         drafts = [name for name in there if any(each.fullmatch(name) for each in (_DRAFT, *older))]
         left = [name for name in drafts if not _is_removed(handle, name)]
+        if not left:
+            _note(folder)
         return not left
     return False
+
+
+def _note(folder: Place) -> None:
+    """Record that `folder` has no drafts now."""
+    if isinstance(folder, str):  # a descriptor may become that of another folder
+        with suppress(OSError):
+            _left[folder] = os.stat(folder).st_mtime_ns  # noqa: PTH116 -- as all here, without a Path
 
 
 def _is_removed(folder: int, name: str) -> bool:

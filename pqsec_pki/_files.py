@@ -16,7 +16,7 @@ from contextvars import ContextVar
 from io import FileIO
 from pathlib import Path
 
-from pqsec_pki._drafts import draft_file, draft_folder
+from pqsec_pki._drafts import draft_file, draft_folder, swept
 from pqsec_pki._owners import user
 from pqsec_pki.errors import ExistsError, FileError, MissingError
 
@@ -40,6 +40,7 @@ _NOWHERE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
 PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY
+_UNNAMED = getattr(os, "O_TMPFILE", 0)
 _CURRENT, _NO_REPLACE = -100, 1
 """AT_FDCWD and RENAME_NOREPLACE of renameat2(2)."""
 
@@ -209,19 +210,44 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
     Without `force` an existing file stays and ExistsError is raised. A symbolic link
     at `path` is itself replaced, never followed. FileError if the folder refuses.
     """
+    mode = PRIVATE_MODE if private else PUBLIC_MODE
     try:
-        with draft_file(str(path.parent), path.name) as (name, handle):
-            fill(handle, data, mode=PRIVATE_MODE if private else PUBLIC_MODE, sync=True)
-            if force:
-                _refuse_devices(path)
-                path.with_name(name).replace(path)
-            else:
-                move_new(path.with_name(name), path)
+        if force:
+            _refuse_devices(path)
+        with swept(str(path.parent), path.name):
+            if not _is_written_unnamed(path, data, mode):
+                with draft_file(str(path.parent), path.name) as (name, handle):
+                    fill(handle, data, mode=mode, sync=True)
+                    if force:
+                        path.with_name(name).replace(path)
+                    else:
+                        move_new(path.with_name(name), path)
         sync_folder(path.parent)
     except FileExistsError as error:
         raise ExistsError(f"{path} exists", hint=_CHOOSE) from error
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
+
+
+def _is_written_unnamed(path: Path, data: bytes, mode: int) -> bool:
+    """Whether `data` is now in the new file `path`, which had no name before: a kill leaves none.
+
+    False if there is a file, or if the file system has no such files or no hard links.
+    """
+    if _UNNAMED and not os.path.lexists(path):
+        with suppress(OSError):
+            handle = os.open(path.parent, _UNNAMED | os.O_WRONLY | os.O_CLOEXEC, PRIVATE_MODE)
+            try:
+                fill(handle, data, mode=mode, sync=True)
+                folder = os.open(path.parent, _FOLDER)
+                try:
+                    os.link(f"/proc/self/fd/{handle}", path.name, dst_dir_fd=folder)
+                finally:
+                    os.close(folder)
+                return True
+            finally:
+                os.close(handle)
+    return False
 
 
 def move_new(draft: Path, path: Path) -> None:

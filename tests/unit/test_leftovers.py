@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki import _drafts
+from pqsec_pki import _drafts, _files
 from pqsec_pki._drafts import draft_file, draft_folder
 from pqsec_pki._files import write
 from pqsec_pki.enrolment.credential_store import changing
@@ -50,6 +50,7 @@ def names(folder):
 
 
 def to_a_new_file(folder):
+    _files._UNNAMED = 0  # as on most file systems
     write(folder / "b.bundle", b"new" * 100, private=True)
 
 
@@ -91,6 +92,21 @@ def test_the_next_file_in_a_folder_ends_what_a_killed_command_left_there(place, 
             break
     assert done
     assert left > 1
+
+
+def test_a_new_file_leaves_nothing_at_all_when_its_command_is_killed(place):
+    """Where the file system has files without names, as ext4, XFS, Btrfs and tmpfs."""
+    for calls in disturbed_calls(1):
+        folder = place / str(calls)
+        folder.mkdir()
+        done = survives(calls, lambda folder=folder: write(folder / "made", b"new" * 100))
+        assert names(folder) in ([], ["made"])
+        if names(folder):
+            assert (folder / "made").read_bytes() == b"new" * 100
+        if done:
+            break
+    assert done
+    assert calls > 4
 
 
 def test_a_draft_that_a_process_uses_stays(tmp_path):
@@ -139,7 +155,10 @@ def test_a_draft_that_another_process_took_for_a_left_one_is_made_again(tmp_path
     assert names(tmp_path) == []
 
 
-def test_ten_thousand_files_are_not_listed_for_each_that_is_added(tmp_path, monkeypatch):
+@pytest.mark.parametrize("unnamed", [_files._UNNAMED, 0])
+def test_a_folder_is_not_listed_for_each_file_that_is_added(tmp_path, monkeypatch, unnamed):
+    """Ten thousand bundles, for example."""
+    monkeypatch.setattr(_files, "_UNNAMED", unnamed)
     listed = []
     monkeypatch.setattr(_drafts.os, "listdir", lambda folder: listed.append(folder) or [])
     for number in range(20):
