@@ -1,10 +1,12 @@
 """Read files with clear errors; write them atomically.
 
 A file is written beside its target and then linked or renamed to it, so a reader sees the
-old content or the new one, never a part. Private files are 0600 whatever the umask.
+old content or the new one, never a part, also where there are no hard links. Private files are
+0600 whatever the umask.
 """
 
 import errno
+import fcntl
 import os
 import select
 import stat
@@ -14,6 +16,7 @@ from contextvars import ContextVar
 from io import FileIO
 from pathlib import Path
 
+from pqsec_pki._drafts import draft_file, draft_folder, swept
 from pqsec_pki._owners import user
 from pqsec_pki.errors import ExistsError, FileError, MissingError
 
@@ -37,6 +40,9 @@ _NOWHERE = (errno.ENOENT, errno.ENOTDIR, errno.ELOOP)
 PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY
+_UNNAMED = getattr(os, "O_TMPFILE", 0)
+_CURRENT, _NO_REPLACE = -100, 1
+"""AT_FDCWD and RENAME_NOREPLACE of renameat2(2)."""
 
 FileVersion = tuple[int, ...]
 """Inode, size and times of a file: another after it was changed. Empty if it is not there."""
@@ -204,22 +210,102 @@ def write(path: Path, data: bytes, *, private: bool = False, force: bool = False
     Without `force` an existing file stays and ExistsError is raised. A symbolic link
     at `path` is itself replaced, never followed. FileError if the folder refuses.
     """
+    mode = PRIVATE_MODE if private else PUBLIC_MODE
     try:
-        draft = path.with_name(f".{path.name}.{os.urandom(8).hex()}")
-        try:
-            create(draft, data, mode=PRIVATE_MODE if private else PUBLIC_MODE, sync=True)
-            if force:
-                _refuse_devices(path)
-                draft.replace(path)
-            else:
-                os.link(draft, path)
-        finally:
-            draft.unlink(missing_ok=True)
+        if force:
+            _refuse_devices(path)
+        with swept(str(path.parent), path.name):
+            if not _is_written_unnamed(path, data, mode):
+                with draft_file(str(path.parent), path.name) as (name, handle):
+                    fill(handle, data, mode=mode, sync=True)
+                    if force:
+                        path.with_name(name).replace(path)
+                    else:
+                        move_new(path.with_name(name), path)
         sync_folder(path.parent)
     except FileExistsError as error:
         raise ExistsError(f"{path} exists", hint=_CHOOSE) from error
     except (OSError, ValueError) as error:
         raise _refused(path, error) from error
+
+
+def _is_written_unnamed(path: Path, data: bytes, mode: int) -> bool:
+    """Whether `data` is now in the new file `path`, which had no name before: a kill leaves none.
+
+    False if there is a file, or if the file system has no such files or no hard links.
+    """
+    if _UNNAMED and not os.path.lexists(path):
+        with suppress(OSError):
+            handle = os.open(path.parent, _UNNAMED | os.O_WRONLY | os.O_CLOEXEC, PRIVATE_MODE)
+            try:
+                fill(handle, data, mode=mode, sync=True)
+                folder = os.open(path.parent, _FOLDER)
+                try:
+                    os.link(f"/proc/self/fd/{handle}", path.name, dst_dir_fd=folder)
+                finally:
+                    os.close(folder)
+                return True
+            finally:
+                os.close(handle)
+    return False
+
+
+def move_new(draft: Path, path: Path) -> None:
+    """Give the file `draft` the name `path`, without replacing anything; OSError.
+
+    FileExistsError if something is at `path`. Another name of the draft may stay.
+    """
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        raise
+    except OSError:  # exFAT and others have no hard links
+        _rename_new(draft, path)
+
+
+def _rename_new(draft: Path, path: Path) -> None:
+    """Rename without replacing anything: by renameat2(2), else as the only pqsec in the folder."""
+    import ctypes  # noqa: PLC0415 -- takes a millisecond, and few file systems need it
+
+    names = (_CURRENT, os.fsencode(draft), _CURRENT, os.fsencode(path))
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if rename and rename(*names, _NO_REPLACE) == 0:
+        return
+    code = ctypes.get_errno() if rename else errno.ENOSYS
+    if code not in {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP}:
+        raise OSError(code, os.strerror(code), str(path))
+    folder = os.open(path.parent, _FOLDER)
+    try:
+        with suppress(OSError):  # nor has every file system locks
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+        draft.rename(path)
+    finally:
+        os.close(folder)
+
+
+def refuse_without_links(folder: Path, what: str, *, hard: bool = False) -> None:
+    """FileError if the file system of `folder`, which may be new, has no symbolic links.
+
+    With `hard` it needs hard links too; `what` needs them. It is asked in a draft.
+    """
+    place = next((each for each in (folder, *folder.parents) if exists(each)), folder)
+    with disk_errors(folder, drafting=True), draft_folder(str(place)) as draft:
+        create(f"{draft}/file", b"", mode=PRIVATE_MODE)
+        try:
+            Path(draft, "link").symlink_to("file")
+            if hard:
+                os.link(f"{draft}/file", f"{draft}/name")
+        except OSError as error:
+            if error.errno in {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EIO}:
+                raise
+            raise FileError(
+                f"has a file system without links, which {what} needs",
+                where=folder,
+                hint="choose a folder on ext4, XFS or Btrfs; exFAT and FAT are for bundles,"
+                " requests, lists and reports",
+            ) from error
 
 
 def _refuse_devices(path: Path) -> None:
@@ -239,15 +325,20 @@ def create(
     """
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_MODE, dir_fd=folder)
     try:
-        rest = memoryview(data)
-        while rest:
-            rest = rest[os.write(handle, rest) :]
-        if mode != PRIVATE_MODE:
-            os.fchmod(handle, mode)
-        if sync:
-            os.fsync(handle)
+        fill(handle, data, mode=mode, sync=sync)
     finally:
         os.close(handle)
+
+
+def fill(handle: int, data: bytes, *, mode: int, sync: bool) -> None:
+    """Write `data` to a new file that only its owner may read, and set `mode`; OSError."""
+    rest = memoryview(data)
+    while rest:
+        rest = rest[os.write(handle, rest) :]
+    if mode != PRIVATE_MODE:
+        os.fchmod(handle, mode)
+    if sync:
+        os.fsync(handle)
 
 
 @contextmanager

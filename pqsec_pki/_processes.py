@@ -2,6 +2,7 @@
 
 The library that creates keys and signatures holds the interpreter lock, so threads would
 wait for each other. A fork has the CAs' keys in its memory, so they are sent through no pipe.
+It ends with its parent, whatever ends that, and shares no lock with it (`_locks.py`).
 OpenSSL and the system give a fork other random octets than its parent.
 
 `concurrent.futures` does not replace this: before Python 3.14 its executor cannot end a busy
@@ -12,6 +13,7 @@ killed process.
 import os
 import pickle
 import signal
+import stat
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -27,6 +29,10 @@ LEAST = 16
 """Number of items for which another process is started."""
 _MOMENTS = 20
 """Milliseconds until the system no longer lists a thread that has ended."""
+_ON_PARENTS_END = 1
+"""PR_SET_PDEATHSIG of prctl(2)."""
+_LAST_STREAM = 2
+"""The number of standard error."""
 
 Done = TypeVar("Done")
 _alone = False
@@ -124,11 +130,42 @@ def _fork(do: Callable[[Iterable[int]], object], share: Iterable[int]) -> _Fork:
         os.close(writer)
         return _Fork(process, reader)
     try:
+        _close_links(but=writer)
+        end_with(parent)
         found = _packed(do(takewhile(lambda _: os.getppid() == parent, share)))
         with os.fdopen(writer, "wb") as pipe:
             pipe.write(found)
     finally:
         os._exit(0)  # even after an error, so that no exit handler of the parent runs twice
+
+
+def end_with(parent: int) -> None:
+    """Let the system kill this process when `parent`, its parent, ends; end now if it has ended."""
+    import ctypes  # noqa: PLC0415 -- takes a millisecond, and few commands need it
+
+    if prctl := getattr(ctypes.CDLL(None), "prctl", None):  # Linux
+        prctl(_ON_PARENTS_END, signal.SIGKILL)
+    if os.getppid() != parent:
+        os._exit(0)
+
+
+def _close_links(*, but: int) -> None:
+    """Close the pipes and sockets of the parent, except standard streams and the pipe `but`.
+
+    A fork that held the reader of its own pipe, or of another's, would wait for ever to write
+    after the parent was killed; and with a socket of the parent, a server would keep its locks.
+    """
+    signal.set_wakeup_fd(-1)
+    for name in os.listdir("/proc/self/fd"):  # noqa: PTH208 -- a number
+        handle = int(name)
+        with suppress(OSError):  # of the listing itself
+            mode = os.fstat(handle).st_mode
+            if handle > _LAST_STREAM and handle != but and _is_link(mode):
+                os.close(handle)
+
+
+def _is_link(mode: int) -> bool:
+    return stat.S_ISFIFO(mode) or stat.S_ISSOCK(mode)
 
 
 def _packed(found: object) -> bytes:

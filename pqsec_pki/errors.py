@@ -110,6 +110,16 @@ class FileError(PqsecError):
     """A file cannot be read or written."""
 
 
+class TooLargeError(PqsecError):
+    """What would be written is larger than what pqsec reads, so it is not written."""
+
+    @classmethod
+    def check(cls, what: str, size: int, limit: int, *, hint: str, unit: str = "bytes") -> None:
+        """TooLargeError if `size` is over the `limit` of what reads it; `hint` is the way out."""
+        if size > limit:
+            raise cls(f"{what} would have {size} {unit}; pqsec reads at most {limit}", hint=hint)
+
+
 class MissingError(FileError):
     """The path does not exist; for other errors of reading this is not known."""
 

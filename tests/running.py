@@ -1,7 +1,6 @@
 """`pqsec` in the process of the tests, through the same `main` as the shell."""
 
 import os
-import signal
 import sys
 from collections.abc import Mapping, Sequence
 from io import BytesIO, TextIOWrapper
@@ -35,12 +34,11 @@ def run_here(
         patch.setattr(sys, "stdin", nothing)
         patch.setattr(sys, "stdout", TextIOWrapper(out, "utf-8", write_through=True))
         patch.setattr(sys, "stderr", TextIOWrapper(err, "utf-8", write_through=True))
-        before, mask = signal.getsignal(signal.SIGPIPE), os.umask(0o022)
+        mask = os.umask(0o022)
         os.umask(mask)
         try:
             with pytest.raises(SystemExit) as end:
                 main()
         finally:
-            signal.signal(signal.SIGPIPE, before)
             os.umask(mask)
         return end.value.code, out.getvalue().decode(), err.getvalue().decode()

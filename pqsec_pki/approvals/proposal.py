@@ -21,7 +21,7 @@ from pqsec_pki.approvals._canonical import (
 )
 from pqsec_pki.approvals.approval import Approval
 from pqsec_pki.approvals.approval_policy import ApprovalPolicy, Covered
-from pqsec_pki.errors import MalformedError, VerificationError
+from pqsec_pki.errors import MalformedError, TooLargeError, VerificationError
 from pqsec_pki.problems import Code
 
 FORMAT = 1
@@ -164,8 +164,11 @@ _FIELDS = (
 
 
 def proposal_file(proposal: PlanProposal, first: Approval) -> bytes:
-    """The content of the file with the proposal and its proposer's approval."""
-    return readable({"approval": first.to_json(), "proposal": proposal.to_json()})
+    """The content of the file with the proposal and its proposer's approval. TooLargeError."""
+    data = readable({"approval": first.to_json(), "proposal": proposal.to_json()})
+    hint = "plan in steps: fewer participants at once"
+    TooLargeError.check("the plan", len(data), MAX_PROPOSAL, hint=hint)
+    return data
 
 
 def proposal_in(data: bytes) -> tuple[PlanProposal, Approval]:

@@ -27,7 +27,7 @@ from pqsec_pki.approvals._canonical import (
     whole,
 )
 from pqsec_pki.approvals.approval_policy import NAME
-from pqsec_pki.errors import UsageError, VerificationError, shown
+from pqsec_pki.errors import TooLargeError, UsageError, VerificationError, shown
 from pqsec_pki.problems import Code
 
 FORMAT = 1
@@ -146,9 +146,11 @@ class SignedGrant:
             return cls(RegistrationGrant.from_json(found["grant"]), signatures)
 
     def to_file(self) -> bytes:
-        """The content of its file."""
+        """The content of its file; TooLargeError if it could not be read again."""
         signatures = [b64encode(each).decode() for each in self.signatures]
-        return readable({"grant": self.grant.to_json(), "signatures": signatures})
+        data = readable({"grant": self.grant.to_json(), "signatures": signatures})
+        TooLargeError.check("the grant", len(data), MAX_GRANT, hint="give fewer names or roles")
+        return data
 
     def verify(self, keys: Sequence[PublicKey]) -> None:
         """VerificationError unless each of `keys`, the identity CA's, signed it."""

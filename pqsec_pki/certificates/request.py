@@ -5,6 +5,7 @@ With an alternative key it has a second proof (see _alternative).
 """
 
 import hashlib
+from collections.abc import Sequence
 from dataclasses import field
 from typing import Self
 
@@ -20,10 +21,17 @@ from pqsec_pki._asn1 import (
     whole_bytes,
 )
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import MAX_FILE
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem, unpem
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import lone_common_name, name_text
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, library_call
+from pqsec_pki.errors import (
+    MalformedError,
+    PqsecError,
+    TooLargeError,
+    VerificationError,
+    library_call,
+)
 
 MAX_REQUEST = 256 << 10
 """Bytes of PEM or DER, as for a certificate."""
@@ -87,6 +95,15 @@ class CertificateRequest:
         if len(found) > MAX_REQUESTS:
             raise MalformedError(f"more than {MAX_REQUESTS} certificate requests")
         return tuple(map(cls.from_der, found))
+
+    @classmethod
+    def all_to_pem(cls, requests: Sequence[Self]) -> bytes:
+        """All in PEM, for one file; TooLargeError for more than `all_from_pem` or a file takes."""
+        hint = "write several files, each with fewer requests"
+        TooLargeError.check("the file", len(requests), MAX_REQUESTS, hint=hint, unit="requests")
+        data = b"".join(each.pem for each in requests)
+        TooLargeError.check("the file", len(data), MAX_FILE, hint=hint)
+        return data
 
     @property
     def pem(self) -> bytes:

@@ -23,7 +23,11 @@ from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, libr
 from pqsec_pki.problems import Code, Problem
 
 MAX_LIST = 8 << 20
-"""Bytes of PEM or DER: some 200,000 certificates."""
+"""Bytes of PEM: some 150,000 certificates."""
+_LINE, _LINE_OCTETS = 65, 48
+MAX_DER = (MAX_LIST - 2 * _LINE) // _LINE * _LINE_OCTETS
+"""Bytes of DER: as many as fit into that in lines of base64. So a list is read in both, or in none.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,8 +65,8 @@ class RevocationList:
     @classmethod
     def from_der(cls, der: bytes) -> Self:
         """MalformedError if `der` is not exactly one well-formed revocation list."""
-        if len(der) > MAX_LIST:
-            raise MalformedError(f"a revocation list larger than {MAX_LIST} bytes")
+        if len(der) > MAX_DER:
+            raise MalformedError(f"a revocation list larger than {MAX_DER} bytes")
         signed = decode(Signed, der, "revocation list")
         tbs_der = encode(signed.tbs)
         tbs = decode(TBSCertList, tbs_der, "revocation list")

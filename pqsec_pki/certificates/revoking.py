@@ -24,7 +24,13 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki.certificates import _alternative
 from pqsec_pki.certificates.authority import BACKDATE, Authority, cut, end_of, key_identifier
-from pqsec_pki.certificates.revocation import RevocationList, RevokedCertificate
+from pqsec_pki.certificates.revocation import MAX_DER, RevocationList, RevokedCertificate
+from pqsec_pki.errors import TooLargeError
+
+_SHORTER = (
+    "certificates that have ended are not on the list: issue for a shorter time; new CAs begin an"
+    " empty list: `pqsec ca rotate`"
+)
 
 
 class Reason(StrEnum):
@@ -54,7 +60,8 @@ def revocation_list(
 
     It begins a day early, like certificates, and never expires after the CA. UsageError if
     the validity is invalid, PqsecError if the CA is expired or not yet valid,
-    VerificationError if its certificate does not allow it to sign lists.
+    VerificationError if its certificate does not allow it to sign lists, TooLargeError for a list
+    that could not be read.
     """
     certificate = authority.certificate
     end = cut(end_of(now, validity), certificate, now)
@@ -80,7 +87,9 @@ def _signed(tbs: TBSCertList, authority: Authority) -> RevocationList:
     content = encode(tbs)
     signature = bits(authority.key.sign(content))
     whole = Signed(tbs=raw(content), signature_algorithm=tbs.signature, signature=signature)
-    return RevocationList.from_der(encode(whole))
+    der = encode(whole)
+    TooLargeError.check("the revocation list", len(der), MAX_DER, hint=_SHORTER)
+    return RevocationList.from_der(der)
 
 
 def _entry(revoked: RevokedCertificate) -> RevokedEntry:

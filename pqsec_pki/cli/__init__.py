@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from pqsec_pki import __version__
-from pqsec_pki.cli import _failures, _progress
+from pqsec_pki.cli import _failures, _output, _progress
 from pqsec_pki.cli._completion import VARIABLE
 from pqsec_pki.cli._help import Group
 from pqsec_pki.cli._settings import CommandSettings, command_options
@@ -171,6 +171,15 @@ class _Lazy(Group):
             ctx.fail(f"No such command {shown(args[0])!r}.{instead}")
         return super().resolve_command(ctx, args)
 
+    def invoke(self, ctx: click.Context) -> Any:
+        """Invoke like click, which would end silently, with 1, where a peer closed a connection."""
+        try:
+            return super().invoke(ctx)
+        except BrokenPipeError as error:
+            raise FileError(
+                "the other side of a connection closed it", hint="run the command again"
+            ) from error
+
     def shell_complete(self, ctx: click.Context, incomplete: str) -> "list[CompletionItem[Any]]":
         """The commands and options that begin so, without importing any command."""
         from click.shell_completion import CompletionItem  # noqa: PLC0415 -- for a shell alone
@@ -202,6 +211,13 @@ def pqsec() -> None:
 def main() -> None:
     """Run the command line and exit: 0 done or yes, 1 no, 2 usage, 3 could not be done."""
     _prepare_process()
+    try:
+        _run()
+    except _output.ReaderGoneError:
+        _output.end()
+
+
+def _run() -> None:
     if os.environ.get(VARIABLE):
         with suppress(PqsecError, click.ClickException, OSError):  # they would be in the prompt
             pqsec.main(prog_name="pqsec", standalone_mode=False)
@@ -225,11 +241,10 @@ def main() -> None:
 
 def _prepare_process() -> None:
     """Signals, standard streams, umask and warnings, before a command runs."""
-    # pqsec ends silently when its reader closes the pipe, as `head` does.
-    signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     # SIGTERM rolls back the change in progress, as Ctrl-C does.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(128 + signal.SIGTERM))
     _open_closed_streams()
+    _output.watch()
     # pqsec must be able to read its own files: ignore the owner's bits of the umask.
     os.umask(os.umask(0o077) & 0o077)
     if not sys.warnoptions:  # cryptography warns about unusual files: for developers only

@@ -5,7 +5,6 @@ $PAGER, else less or more. NO_PAGER, TERM=dumb, --no-pager and what fits on the 
 
 import os
 import shutil
-import signal
 import sys
 
 import click
@@ -49,8 +48,4 @@ def is_for(text: str) -> bool:
 def show(text: str) -> None:
     """Show it until the user ends the pager, which changes no exit code."""
     os.environ.setdefault("LESS", _LESS)
-    before = signal.signal(signal.SIGPIPE, signal.SIG_IGN)
-    try:
-        click.echo_via_pager(f"{text}\n")
-    finally:
-        signal.signal(signal.SIGPIPE, before)
+    click.echo_via_pager(f"{text}\n")

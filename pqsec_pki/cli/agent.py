@@ -1,10 +1,9 @@
 """pqsec agent: control the process that holds the keys of participants with the plugin."""
 
 import os
-import signal
 
 from pqsec_pki._files import is_there, read
-from pqsec_pki.cli import _help, _printing, _progress, _settings
+from pqsec_pki.cli import _help, _output, _printing, _progress, _settings
 from pqsec_pki.errors import ExistsError, FileError
 from pqsec_pki.plugin import AgentFolder, AgentStatus, agent_status, retired_agents, stop_agent
 
@@ -112,7 +111,7 @@ def run() -> None:
     from pqsec_pki.plugin.server import Agent  # noqa: PLC0415 -- only here
 
     _progress.stop()
-    signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a participant that exits must not stop it
+    _output.stay()
     os.umask(0o077)
     folder = _agent_folder()
     sockets = listening.given(os.environ, folder)

@@ -68,7 +68,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     exit_codes={
         0: "no errors; with --strict, no warnings either",
         1: "there are errors; with --strict, also for warnings",
-        3: "incomplete: a file or folder cannot be read",
+        3: "incomplete: a file or folder cannot be read, or a change was interrupted",
     },
 )
 @click.argument("paths", nargs=-1, type=_settings.PATH, metavar="[PATH]...")
@@ -175,7 +175,12 @@ def _suppression(text: str) -> Suppression:
 
 
 def _exit_code(report: LintReport, *, strict: bool) -> int:
-    """1 if there are findings that fail the check; else 3 if a file could not be read; else 0."""
+    """1 if there are findings that fail the check; else 3 if a file could not be read; else 0.
+
+    3 in any case if a change was interrupted: then files are from before and after it.
+    """
+    if report.inventory.interrupted_change:
+        return 3
     unread = report.unread
     left = set(map(id, unread))
     known = replace(

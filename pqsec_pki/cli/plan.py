@@ -9,7 +9,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.algorithms import PrivateKey
-from pqsec_pki.approvals import MAX_PROPOSAL, approve, proposal_file
+from pqsec_pki.approvals import approve, proposal_file
 from pqsec_pki.cli import _approver, _help, _printing, _settings
 from pqsec_pki.cli._policy import note_ros_names
 from pqsec_pki.domain import (
@@ -174,8 +174,6 @@ def _write(
     proposal = propose(review, proposer=name, validity=validity, beside=folder, **choices)
     first = approve(proposal.digest, name, signer, now=review.now)
     data = proposal_file(proposal, first)
-    if len(data) > MAX_PROPOSAL:
-        raise UsageError("the plan is too large", hint="plan in steps: fewer participants at once")
     _files.write(output, data, force=force)
 
 

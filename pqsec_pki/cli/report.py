@@ -14,9 +14,10 @@ from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import verify_authority
 from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
 from pqsec_pki.credentials import only_certificate
-from pqsec_pki.errors import KeystoreError, UsageError, located
+from pqsec_pki.errors import KeystoreError, TooLargeError, UsageError, located
 from pqsec_pki.keystore import Keystore, SigningCa
 from pqsec_pki.report import (
+    MAX_REPORT,
     Changes,
     Report,
     changes_since,
@@ -154,6 +155,8 @@ def _refuse_places(form: str, output: Path | None, *, is_signed: bool, force: bo
 def _write(
     output: Path, data: bytes, signing: Callable[[bytes], bytes] | None, *, force: bool
 ) -> None:
+    hint = "without -o it has no limit; then neither --compare nor `pqsec verify` reads it"
+    TooLargeError.check("the report", len(data), MAX_REPORT, hint=hint)
     signature = signing(statement_of(output, data)) if signing else None
     write(output, data, private=True, force=force)
     if signature:

@@ -6,6 +6,7 @@ import click
 
 from pqsec_pki import _files
 from pqsec_pki.algorithms import profile_named
+from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
 from pqsec_pki.cli.ca import profile_option
 from pqsec_pki.enrolment import make_sealing_key
@@ -84,11 +85,21 @@ def request(  # noqa: PLR0913 -- one for each option, by name
         {"participant_key": participant_key, "alternative_key": alt_key}
     )
     uris = _key_uris.given_for_participant()
-    made = make_requests(names, profile, folder, uris=uris, pin=_passphrases.pin, force=force)
+    made = make_requests(
+        names,
+        profile,
+        folder,
+        uris=uris,
+        pin=_passphrases.pin,
+        together=csr is not None,
+        force=force,
+    )
     _key_uris.note_participant(profile, uris, made[0].generated)
     if csr:
         with _printing.with_hint(f"the requests are in {folder}: join their files"):
-            _files.write(csr, b"".join(each.request.pem for each in made), force=force)
+            _files.write(
+                csr, CertificateRequest.all_to_pem([each.request for each in made]), force=force
+            )
     rows = [
         {"name": each.name, "request": each.path, "sha256": each.request.fingerprint}
         for each in made

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _help, _passphrases, _printing, _progress, _settings
+from pqsec_pki.cli import _help, _output, _passphrases, _printing, _progress, _settings
 from pqsec_pki.est import needs_extra
 from pqsec_pki.server import begin_server, read_settings
 
@@ -63,6 +63,7 @@ def serve(file: Path, url: str | None, part: str, passphrase_file: Path | None) 
         _printing.emit({"files": made}, map(str, made))
         return
     _progress.stop()
+    _output.stay()
     with needs_extra("serve"):
         from pqsec_pki.server import run_both, run_front, run_signer  # noqa: PLC0415 -- of an extra
 

@@ -8,14 +8,14 @@ unnoticed mistake. Parsing is by events, so the limits apply during parsing.
 
 import codecs
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 from functools import cache
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents._yaml_guesses import TAG, add_guesses
-from pqsec_pki.errors import InvalidDocumentError, UsageError, library_call, shown
+from pqsec_pki.errors import InvalidDocumentError, TooLargeError, UsageError, library_call, shown
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -28,6 +28,7 @@ MAX_DEPTH = 24
 _TOO_DEEP = f"more than {MAX_DEPTH} nested lists and mappings"
 MAX_ITEMS = 500_000
 """Values in a document. A policy of 10 000 rules has about 150 000."""
+_SMALLER = "make several smaller ones, or name sets of participants by patterns"
 
 _CODECS = ((codecs.BOM_UTF8, "utf-8-sig"), (codecs.BOM_UTF16_LE, "utf-16"),
            (codecs.BOM_UTF16_BE, "utf-16"))  # fmt: skip
@@ -207,13 +208,28 @@ class _TreeBuilder:
 
 
 def dump(value: object) -> bytes:
-    """`value` as a YAML document; UsageError for text that cannot be encoded."""
+    """`value` as a YAML document; UsageError for text that cannot be encoded.
+
+    TooLargeError for one that `parse` would refuse.
+    """
+    TooLargeError.check("the YAML", _values_in(value), MAX_ITEMS, hint=_SMALLER, unit="values")
     import yaml  # noqa: PLC0415 - `pqsec --help` must not load yaml
 
     written: str = yaml.dump(
         value, Dumper=_dumper(), sort_keys=False, allow_unicode=True, width=1 << 20
     )
-    return written.encode()
+    data = written.encode()
+    TooLargeError.check("the YAML", len(data), MAX_DOCUMENT, hint=_SMALLER)
+    return data
+
+
+def _values_in(value: object) -> int:
+    """How many values `parse` counts in it: each key, text, list and mapping."""
+    if isinstance(value, Mapping):
+        return 1 + sum(1 + _values_in(each) for each in value.values())
+    if isinstance(value, list | tuple):
+        return 1 + sum(map(_values_in, value))
+    return 1
 
 
 @cache

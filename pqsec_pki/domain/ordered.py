@@ -14,7 +14,7 @@ from pqsec_pki._times import days, said
 from pqsec_pki.approvals import EnrolmentOrder, OrderedName, RegistrationGrant
 from pqsec_pki.domain._role_values import role_in
 from pqsec_pki.domain.desired import Member
-from pqsec_pki.enrolment import SignRequest, answered, validate_csrs
+from pqsec_pki.enrolment import SignRequest, answered, refuse_large_answer, validate_csrs
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError, shown
 from pqsec_pki.keystore import (
     Authorities,
@@ -96,6 +96,7 @@ def perform_order(
     with keystore.hold():
         found = ordered_issue(asked, keystore, now=now, anchors=anchors)
         if not found.done:
+            refuse_large_answer(asked, keystore)
             issue(found.keystore, authorities, found.specs, now=now, records=[found.line])
         return answered(asked, keystore, now=now)
 

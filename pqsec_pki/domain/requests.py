@@ -7,7 +7,7 @@ from dataclasses import replace
 from functools import lru_cache
 from pathlib import Path
 
-from pqsec_pki._files import disk_errors, read, write
+from pqsec_pki._files import MAX_FILE, disk_errors, read, write
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain.desired import Member
@@ -23,9 +23,6 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import key_hashes
 from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
-
-MAX_FILE = 1 << 20
-"""Bytes; a request with the largest keys has 20 kB, and a robot several participants."""
 
 
 def is_there(member: Member) -> bool:

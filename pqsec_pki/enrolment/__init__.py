@@ -27,6 +27,7 @@ if TYPE_CHECKING:
         accept,
         answered,
         ordered,
+        refuse_large_answer,
         same_answers,
         sign,
     )
@@ -94,6 +95,7 @@ __all__ = [
     "read_receipts",
     "record_receipts",
     "refresh",
+    "refuse_large_answer",
     "removed_alone",
     "request",
     "requests",

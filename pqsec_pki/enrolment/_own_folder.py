@@ -8,13 +8,16 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from pqsec_pki import _drafts
+from pqsec_pki._locks import lock, unshared
 from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import KeystoreError
 
 DRAFT = ".draft-"
 _PRIVATE_FOLDER = 0o700
 _DRAFTED = re.compile(r"(\.draft-|\.bundle\.(key|pub)\.pem\.|\.server\.json\.)[0-9a-f]{16}")
-"""Names of files that a killed process leaves; the folder may contain files of others."""
+"""Names of files that a killed process leaves; the folder may contain files of others. Earlier
+versions also made drafts of two files."""
 
 
 def make_private(folder: Path) -> None:
@@ -30,8 +33,9 @@ def locked(root: Path) -> Iterator[None]:
     """Lock the folder for this process; KeystoreError if another process has the lock."""
     handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        yield
+        with unshared(handle):
+            lock(handle, fcntl.LOCK_EX)
+            yield
     except BlockingIOError:
         raise KeystoreError(f"{root}: another pqsec command is using this folder") from None
     finally:
@@ -60,7 +64,11 @@ def refuse_outsiders(root: Path) -> None:
 
 
 def sweep(root: Path) -> None:
-    """Remove temporary files of killed commands: sets, requests, the link, the sealing key."""
+    """Remove temporary files of killed commands: sets, requests, the link, the sealing key.
+
+    Only for who has the lock.
+    """
+    _drafts.sweep(str(root))
     for leftover in filter(_is_draft, root.iterdir()):
         if leftover.is_symlink() or leftover.is_file():
             leftover.unlink()

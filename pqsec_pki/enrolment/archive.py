@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.enrolment import tarball
-from pqsec_pki.errors import MalformedError, VerificationError, other_format, shown
+from pqsec_pki.errors import MalformedError, TooLargeError, VerificationError, other_format, shown
 
 FORMAT = 1
 MANIFEST = "manifest.json"
@@ -30,10 +30,15 @@ class Archive:
     files: Mapping[str, bytes] = field(repr=False)
 
     def pack(self) -> bytes:
-        """The archive as bytes; the same bytes for the same archive."""
+        """The archive as bytes; the same bytes for the same archive.
+
+        TooLargeError for one that `unpack` would refuse.
+        """
         hashes = {name: _sha256(data) for name, data in sorted(self.files.items())}
         manifest = {"format": FORMAT, "kind": self.kind, **self.about, "files": hashes}
         text = json.dumps(manifest, sort_keys=True) + "\n"  # `indent` takes ten times as long
+        hint = "write several, each for fewer participants"
+        TooLargeError.check("the manifest", len(text), MAX_MANIFEST, hint=hint)
         return tarball.pack({**self.files, MANIFEST: text.encode()})
 
     @classmethod

@@ -28,6 +28,7 @@ from pqsec_pki.credentials import (
     verify_credentials,
 )
 from pqsec_pki.enrolment.archive import Archive
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, MAX_MEMBERS
 from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UsageError, shown
 from pqsec_pki.keystore import (
     BundleNumbers,
@@ -108,7 +109,7 @@ class Bundle:
         return bundle
 
     def to_bytes(self) -> bytes:
-        """The bundle as a file."""
+        """The bundle as a file; TooLargeError if nobody could read it."""
         files = {
             f"{ENCLAVES}{name}/{file}": data
             for name, files in self.enclaves.items()
@@ -124,6 +125,12 @@ class Bundle:
         if self.proof is not None:
             about["proof"] = self.proof.to_json()
         return Archive(KIND, about, files).pack()
+
+    def refuse_large(self) -> None:
+        """TooLargeError if nobody could read it. A small one is not packed for that."""
+        files = [data for each in self.enclaves.values() for data in each.values()]
+        if sum(map(len, files)) > MAX_ARCHIVE // 2 or len(files) > MAX_MEMBERS // 2:
+            self.to_bytes()
 
     @cached_property
     def sha256(self) -> str:

@@ -56,9 +56,13 @@ class BundleFile:
 
 
 def write_bundles(files: Sequence[BundleFile], *, force: bool = False) -> None:
-    """Write all, or none if one would be refused or, unless `force`, a file exists."""
+    """Write all, or none if one would be refused or, unless `force`, a file exists.
+
+    TooLargeError for a bundle that no robot could read.
+    """
     for each in files:
         each.refuse_plain_keys()
+        each.bundle.refuse_large()
         if not force:
             _files.refuse_existing(each.path)
     for each in files:

@@ -28,6 +28,7 @@ from pqsec_pki._files import (
     create,
     disk_errors,
     read,
+    refuse_without_links,
     sync_filesystem,
     sync_folder,
     walk,
@@ -111,6 +112,11 @@ class CredentialStore:
             return
         self._drafted(data, PRIVATE_MODE).rename(path)
         sync_folder(self.root)
+
+    def refuse_without_links(self) -> None:
+        """FileError if the file system has no symbolic links, and nothing is installed yet."""
+        if not os.path.lexists(self.root / CURRENT):
+            refuse_without_links(self.root, "a robot's folder")
 
     def set_named(self, name: str) -> InstalledSet:
         """The set of that name; KeystoreError if it is damaged, FileError if it does not exist."""
@@ -277,7 +283,8 @@ def one_command(root: Path) -> Iterator[None]:
 
     KeystoreError if another is at work; other errors as of `changing`.
     """
-    with changing(root):
+    with changing(root) as store:
+        store.refuse_without_links()
         make_private(root / REQUESTS)
     with disk_errors(root), locked(root / REQUESTS):
         yield

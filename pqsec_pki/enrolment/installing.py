@@ -95,6 +95,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
     data = read(source, limit=MAX_FILE) if isinstance(source, Path) else source
     where = source if isinstance(source, Path) else "the bundle"
     with changing(root) as store, located(where):
+        store.refuse_without_links()
         bundle = Bundle.from_bytes(_opened(data, root))
         before = store.current
         if alone and agreed is not None:

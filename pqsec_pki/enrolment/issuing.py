@@ -9,7 +9,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path
 from pqsec_pki.enrolment.bundle_file import BundleFile
-from pqsec_pki.errors import FileError, UsageError
+from pqsec_pki.errors import FileError, TooLargeError, UsageError
 from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, issue
 
@@ -68,7 +68,7 @@ def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by n
             bundle = Bundle.of(keystore, [each.name], now=now, numbers=numbers)
             try:
                 BundleFile(bundle, path, recipient).write(force=force)
-            except FileError as error:
+            except (FileError, TooLargeError) as error:
                 name = each.name
                 error.hint = f"{name} is issued: write its bundle with `pqsec bundle {name}`"
                 raise

@@ -23,13 +23,14 @@ from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
 from pqsec_pki.enrolment.csr_validation import validate_csrs
 from pqsec_pki.enrolment.participant_spec import policy_file, read_spec, spec_value
-from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
+from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, pack
 from pqsec_pki.enrolment.trust import Pins
 from pqsec_pki.enrolment.verification import verify_bundle
 from pqsec_pki.errors import (
     ExistsError,
     MalformedError,
     PqsecError,
+    TooLargeError,
     UsageError,
     VerificationError,
     located,
@@ -44,6 +45,12 @@ ORDER_VALIDITY = timedelta(days=7)
 _NO_RIGHTS: Mapping[str, object] = {"domains": "0", "publish": [], "subscribe": []}
 MAX_UNPACKED = 256 << 20
 """Bytes of all unpacked bundles in an answer: four times the limit of one archive."""
+
+_OF_BUNDLE = 2 << 10
+"""Bytes of a packed bundle beside its files and keys: headers and the manifest."""
+_FEWER = (
+    "ask for fewer participants at once; `pqsec bundle` writes bundles of those that are issued"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +194,7 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     with keystore.open_ledger() as ledger:
         done = {each.name: each.details.get("request") for each in ledger.newest("participant")}
     new = [spec for spec in specs if done.get(spec.name) != asked.sha256]
+    refuse_large_answer(asked, keystore)
     if new:
         issue(
             keystore,
@@ -200,12 +208,39 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     return answered(asked, keystore, now=now)
 
 
+def refuse_large_answer(asked: SignRequest, keystore: Keystore) -> None:
+    """TooLargeError if the answer would be too large, before anything is issued for it.
+
+    Its size is estimated: each bundle has the CAs' files, the governance and the list, as they are
+    now, and a certificate with the request's keys.
+    """
+    anchors, revoked = keystore.anchors, keystore.revocation_list
+    cas = [each.pem for each in (*anchors.identity_cas, anchors.permissions_ca)]
+    documents = [keystore.governance] * 2  # permissions are signed as it is
+    shared = {f"n{number}": data for number, data in enumerate([*cas, *documents])}
+    if revoked:
+        shared["list"] = revoked.pem
+    count, packed = len(asked.specs), len(pack(shared))
+    own = sum(len(each.der) for each in asked.requests)
+    own += sum(len(each.policy or b"") + _OF_BUNDLE for each in asked.specs)
+    signed = count * len(anchors.identity_ca.der)
+    TooLargeError.check("the answer", count * packed + own + signed, MAX_ARCHIVE, hint=_FEWER)
+    whole = count * sum(map(len, shared.values()))
+    TooLargeError.check("the bundles in the answer", whole + own, MAX_UNPACKED, hint=_FEWER)
+
+
 def answered(asked: SignRequest, keystore: Keystore, *, now: datetime) -> bytes:
-    """The answer to a sign request whose participants are issued: a bundle for each."""
+    """The answer to a sign request whose participants are issued: a bundle for each.
+
+    TooLargeError for one that `accept` would refuse.
+    """
     names = [spec.name for spec in asked.specs]
     with BundleNumbers.of(keystore) as numbers:
         one = partial(Bundle.of, keystore, now=now, keys=False, numbers=numbers)
-        files = {_bundle_file(name): one([name]).to_bytes() for name in names}
+        bundles = {name: one([name]) for name in names}
+    size = sum(map(_unpacked, bundles.values()))
+    TooLargeError.check("the bundles in the answer", size, MAX_UNPACKED, hint=_FEWER)
+    files = {_bundle_file(name): bundle.to_bytes() for name, bundle in bundles.items()}
     about = {
         "created": now.isoformat(timespec="seconds"),
         "request_sha256": asked.sha256,
@@ -287,10 +322,14 @@ def _bundles_in(archive: Archive, names: Sequence[str]) -> Iterator[tuple[str, B
     size = 0
     for name in names:
         bundle = Bundle.from_bytes(archive.files[_bundle_file(name)])
-        size += sum(len(data) for files in bundle.enclaves.values() for data in files.values())
+        size += _unpacked(bundle)
         if size > MAX_UNPACKED:
             raise MalformedError(f"its bundles are larger than {MAX_UNPACKED} bytes in total")
         yield name, bundle
+
+
+def _unpacked(bundle: Bundle) -> int:
+    return sum(len(data) for files in bundle.enclaves.values() for data in files.values())
 
 
 def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:

@@ -53,6 +53,7 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
     *,
     uris: Mapping[str, str] | None = None,
     pin: Pin = stored_pin,
+    together: bool = False,
     force: bool = False,
 ) -> list[Requested]:
     """Generate the keys of each participant, and the request for their certificate.
@@ -64,7 +65,8 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
 
     `uris` are places of keys that are not in files, or IN_FILE, by the names of the files; `pin`
     is asked for a token's PIN. UsageError for several participants with one key, and if a key in
-    a token would be followed by one in a file; errors as of `participant_keys`.
+    a token would be followed by one in a file; errors as of `participant_keys`. If the requests are
+    for one file, `together`, TooLargeError if they do not fit into it.
     """
     uris = uris or {}
     wanted = key_places(profile, uris)
@@ -77,6 +79,8 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
         make_private(root / REQUESTS)
         with participant_keys(wanted, pin) as outside:
             drafts = {name: _draft(name, profile, root, outside.keys) for name in goals}
+            if together:
+                CertificateRequest.all_to_pem([each for _, each in drafts.values()])
             sync_filesystem(root)
             for name, (draft, _) in drafts.items():
                 _replace(store, draft, goals[name])

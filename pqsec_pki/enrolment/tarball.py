@@ -10,7 +10,7 @@ import tarfile
 import zlib
 from collections.abc import Iterator, Mapping
 
-from pqsec_pki.errors import MalformedError, library_call, shown, words_of
+from pqsec_pki.errors import MalformedError, TooLargeError, library_call, shown, words_of
 
 MAX_ARCHIVE = 32 << 20
 """Bytes, compressed. A participant with profile cnsa2 has 60 kB."""
@@ -18,6 +18,7 @@ MAX_CONTENT = 64 << 20
 """Bytes, uncompressed: deflate can expand a thousandfold."""
 MAX_MEMBERS = 20_000
 """Files: enough for two thousand participants."""
+_FEWER = "write several, each for fewer participants"
 _NAME = re.compile(r"[A-Za-z0-9_+-][A-Za-z0-9_.+-]*(/[A-Za-z0-9_+-][A-Za-z0-9_.+-]*)*")
 """Relative paths; no part begins with a dot, so none is `.` or `..`."""
 _GZIP = bytes.fromhex("1f8b0800000000")
@@ -32,12 +33,16 @@ _GZIPPED = 31
 
 
 def pack(files: Mapping[str, bytes]) -> bytes:
-    """The archive of `files`, by name."""
+    """The archive of `files`, by name. TooLargeError for one that `unpack` would refuse."""
+    TooLargeError.check("the archive", len(files), MAX_MEMBERS, hint=_FEWER, unit="files")
     blocks = [block for name in sorted(files) for block in _member(name, files[name])]
     out = b"".join([*blocks, bytes(2 * tarfile.BLOCKSIZE)])  # which is the end of an archive
     # Keys and signatures hardly repeat: to search for more takes twice the time, and gains 8 %.
+    TooLargeError.check("the archive", len(out), MAX_CONTENT, hint=_FEWER, unit="bytes of content")
     packer = zlib.compressobj(1, wbits=_GZIPPED, strategy=zlib.Z_RLE)
-    return packer.compress(out) + packer.flush()
+    packed = packer.compress(out) + packer.flush()
+    TooLargeError.check("the archive", len(packed), MAX_ARCHIVE, hint=_FEWER)
+    return packed
 
 
 def _member(name: str, content: bytes) -> tuple[bytes, ...]:

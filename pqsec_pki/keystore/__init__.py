@@ -63,7 +63,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._address import LedgerAddress
     from pqsec_pki.keystore._chain import Entry, Line
     from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
-    from pqsec_pki.keystore._journal import change
+    from pqsec_pki.keystore._journal import change, resume
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
     from pqsec_pki.keystore._postgres_schema import schema_sql
@@ -235,6 +235,7 @@ __all__ = [
     "registrations",
     "registrations_of",
     "regular_name",
+    "resume",
     "robot_states",
     "schema_sql",
     "settings_file",

@@ -19,8 +19,6 @@ from pqsec_pki.keystore._shared_files import pem_fingerprint
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.states import Compare, Files
 
-_SEEN = "seen.json"
-"""In private/: the files that were right. Without it, all files are read."""
 _MAX_SEEN = 64 << 20
 """Bytes; 10,000 participants take half a million."""
 
@@ -55,7 +53,7 @@ class FileComparison:
         """A comparison that knows the files that were right before."""
         seen: object = {}
         with suppress(FileError, ValueError, RecursionError):
-            path = keystore.root / layout.PRIVATE / _SEEN
+            path = keystore.root / layout.PRIVATE / layout.SEEN
             seen = json.loads(read(path, limit=_MAX_SEEN))
         older = None
         if keystore.ledger_address:
@@ -95,10 +93,12 @@ class FileComparison:
         if not self._changed:
             return
         data = json.dumps(self._seen, separators=(",", ":")).encode()
+        if len(data) > _MAX_SEEN:
+            return
         with suppress(OSError, PqsecError), Folder.opened(self._root) as root:
             root.refuse_outsiders()
             with root.below(layout.PRIVATE) as private:
-                private.replace(_SEEN, data)
+                private.replace(layout.SEEN, data)
 
 
 def _stamp(path: str) -> str:

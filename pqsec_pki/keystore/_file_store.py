@@ -1,7 +1,7 @@
 """The ledger in a file of the keystore: the store of a keystore that one machine uses."""
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from pqsec_pki.errors import KeystoreError, other_format
 from pqsec_pki.keystore import _ledger_file, _table, layout
@@ -69,6 +69,15 @@ def check(private: Folder, *, begin: bool) -> None:
     """KeystoreError or PermissionError if no lines could be added now."""
     _ledger_file.check(private)
     Ledger(FileStore(private, begin=begin)).close()
+
+
+def refuse_full(private: Folder, entries: Sequence[Entry], *, begin: bool) -> None:
+    """TooLargeError if the file would be too large to be read with these lines."""
+    limit = _ledger_file.limit_for(entries)
+    if _ledger_file.most_with(private, entries) > limit:
+        with Ledger(FileStore(private, begin=begin)) as ledger:
+            ledger.append(entries)
+            _ledger_file.refuse_larger(ledger.file_size, limit)
 
 
 def add(private: Folder, entries: Iterable[Entry], beside: Folder, *, begin: bool) -> None:

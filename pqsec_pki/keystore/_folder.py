@@ -5,7 +5,6 @@ followed: each part of a path is opened from the folder above it, with O_NOFOLLO
 """
 
 import os
-import secrets
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -13,7 +12,8 @@ from pathlib import Path
 from typing import Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import PRIVATE_MODE, create
+from pqsec_pki._drafts import draft_file
+from pqsec_pki._files import PRIVATE_MODE, fill
 from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import KeystoreError
 
@@ -69,14 +69,9 @@ class Folder:
         KeystoreError if another user owns the folder or may write in it.
         """
         self.refuse_outsiders()
-        temporary = f".{name}.{secrets.token_hex(8)}"
-        try:
-            create(temporary, data, mode=PRIVATE_MODE, sync=True, folder=self.handle)
-            os.replace(temporary, name, src_dir_fd=self.handle, dst_dir_fd=self.handle)
-        except BaseException:
-            with suppress(FileNotFoundError):
-                os.unlink(temporary, dir_fd=self.handle)
-            raise
+        with draft_file(self.handle, name) as (draft, file):
+            fill(file, data, mode=PRIVATE_MODE, sync=True)
+            os.replace(draft, name, src_dir_fd=self.handle, dst_dir_fd=self.handle)
 
     @property
     def names(self) -> list[str]:

@@ -16,6 +16,7 @@ Links in existing folders are only recorded, and created during the moves: to ad
 ten thousand enclaves, no enclave is staged.
 """
 
+import errno
 import os
 import secrets
 import shutil
@@ -26,8 +27,9 @@ from pathlib import Path
 from shlex import quote
 from typing import TYPE_CHECKING
 
+from pqsec_pki import _drafts
 from pqsec_pki._files import disk_errors, sync_filesystem
-from pqsec_pki.errors import InterruptedChangeError, KeystoreError
+from pqsec_pki.errors import FileError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._folder import Folder
@@ -36,11 +38,14 @@ from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.layout import JOURNAL, PREPARED
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
     from pqsec_pki.keystore.authorities import Authorities
+
+_LAST_FILES = 20
+"""How often a folder is emptied again: forks of a killed command end soon after it."""
 
 
 @contextmanager
@@ -77,7 +82,7 @@ def change(
                 except BaseException:
                     shutil.rmtree(name, ignore_errors=True, dir_fd=folder.handle)
                     raise
-            _moves.finish(folder)
+            _finish(folder)
 
 
 @contextmanager
@@ -100,10 +105,27 @@ def recover(root: Path) -> bool:
 
     Errors as with `change`.
     """
-    if not _is_interrupted(root):
+    if not is_interrupted(root):
         return False
     with _disk_errors(root), locked(root) as folder:
         return _settle(folder)
+
+
+def resume(root: Path) -> bool:
+    """Finish the change that began the keystore at `root`; True if there was an unfinished one.
+
+    Also if only its temporary files were left. Errors as with `change`.
+    """
+    left = False
+    with disk_errors(root), suppress(FileNotFoundError, NotADirectoryError):
+        left = any(each.name.startswith((JOURNAL, DRAFT)) for each in root.iterdir())
+    if not left:
+        return False
+    with _disk_errors(root), locked(root) as folder:
+        began = _moves.began(folder)
+        _settle(folder)
+        _sweep(folder)
+    return began
 
 
 def check(root: Path) -> None:
@@ -117,7 +139,7 @@ def refuse_interrupted(root: Path) -> None:
 
     Nothing is altered. FileError for a disk error.
     """
-    if _is_interrupted(root):
+    if is_interrupted(root):
         with disk_errors(root), suppress(FileNotFoundError), at_rest(root) as folder:
             if not {folder.kind(JOURNAL), folder.kind(PREPARED)} <= {None}:
                 raise InterruptedChangeError(
@@ -126,8 +148,11 @@ def refuse_interrupted(root: Path) -> None:
                 )
 
 
-def _is_interrupted(root: Path) -> bool:
-    """Whether there is a journal. FileError names the keystore: no user knows the journal."""
+def is_interrupted(root: Path) -> bool:
+    """Whether a change is unfinished, or at work.
+
+    FileError names the keystore: no user knows the journal.
+    """
     return any(_is_there(root, name) for name in (JOURNAL, PREPARED))
 
 
@@ -146,7 +171,7 @@ def _is_there(root: Path, name: str) -> bool:
 def _settle(root: Folder) -> bool:
     """Finish or drop the change that a killed command left; True if one was finished."""
     finished = root.kind(JOURNAL) is not None
-    _moves.finish(root)
+    _finish(root)
     if (commitment := _moves.prepared_change(root)) is None:
         return finished
     try:
@@ -161,11 +186,25 @@ def _settle(root: Folder) -> bool:
         ) from error
     if committed:
         _rename(root, PREPARED, JOURNAL)
-        _moves.finish(root)
+        _finish(root)
     else:
         _rename(root, PREPARED, f"{DRAFT}{secrets.token_hex(8)}")
         _sweep(root)
     return committed
+
+
+def _finish(root: Folder) -> None:
+    """Execute the journal, if there is one. FileError, with the way out, if the disk refuses."""
+    try:
+        _moves.finish(root)
+    except OSError as error:
+        raise FileError(
+            "the change is committed, and not all files are in place:"
+            f" {(error.strerror or str(error)).lower()}",
+            where=root.path,
+            hint="do not repeat it: when that is repaired, the next command that changes the"
+            f" keystore completes it, or `pqsec -k {quote(root.path)} ca recover`",
+        ) from error
 
 
 def _rename(root: Folder, old: str, new: str) -> None:
@@ -174,6 +213,7 @@ def _rename(root: Folder, old: str, new: str) -> None:
 
 
 def _commit(transaction: Transaction, name: str) -> None:
+    transaction.refuse_full_ledger()
     transaction.sign_head()
     transaction.refuse_folders()
     transaction.add_to_database()
@@ -207,9 +247,25 @@ def _sweep(root: Folder) -> None:
         if not name.startswith(DRAFT):
             continue
         if root.kind(name) == stat.S_IFDIR:
-            shutil.rmtree(name, dir_fd=root.handle)
+            _remove_tree(root, name)
         else:
             os.unlink(name, dir_fd=root.handle)
+    _drafts.sweep(root.handle)
+    with suppress(FileNotFoundError), root.below(PRIVATE) as private:
+        _drafts.sweep(private.handle, SEEN)
+
+
+def _remove_tree(root: Folder, name: str) -> None:
+    """Remove a folder with a killed command's files, to which a fork of it may still add some."""
+    for _ in range(_LAST_FILES):
+        try:
+            shutil.rmtree(name, dir_fd=root.handle)
+        except OSError as error:
+            if error.errno != errno.ENOTEMPTY:
+                raise
+        else:
+            return
+    shutil.rmtree(name, dir_fd=root.handle)
 
 
 @contextmanager

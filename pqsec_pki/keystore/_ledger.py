@@ -50,6 +50,7 @@ _CERTIFIED = (
 )
 
 
+_SIZE = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
 Row: TypeAlias = tuple[int, str, str, str, str]
 """Number, kind, name, SHA-256 and chain value of a line."""
 _ORIGIN = 32
@@ -106,6 +107,12 @@ class Ledger:
                 self._database.execute("COMMIT")
                 self._copy.key = None
             return self._database.serialize()
+
+    @property
+    def file_size(self) -> int:
+        """The size of the result of `to_file`, in bytes."""
+        with self._errors():
+            return self._number(_SIZE)
 
     def is_stored(self, store: LedgerStore) -> None:
         """Record that the store now has the result of `to_file`."""

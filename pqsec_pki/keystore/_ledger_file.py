@@ -9,16 +9,24 @@ import os
 import sqlite3
 import stat
 import tempfile
+from collections.abc import Iterable
 from contextlib import closing, suppress
 from pathlib import Path
 
 from pqsec_pki._files import PRIVATE_MODE, create
-from pqsec_pki.errors import FileError, KeystoreError
+from pqsec_pki.errors import FileError, KeystoreError, TooLargeError
 from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._chain import Entry, details_text
 from pqsec_pki.keystore._folder import Folder, refuse_outsiders, should_be
 
 MAX_SIZE = 512 << 20
 """Bytes; about 400,000 participants, each renewed once. SQLite takes 1 GiB into memory."""
+
+_RESERVED = 1024
+"""This part of the size, the last, is for revocations: a full ledger must not keep a thief in."""
+_REVOKING = frozenset({"revocation", "compromise", "crl"})
+_OF_LINE = 4096, 4
+"""Bytes that a line takes at most: so many, and so many times its text, in table and indices."""
 
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 _WAL, _ROLLBACK = "-wal", "-journal"
@@ -27,6 +35,27 @@ _BESIDE = (_WAL, "-shm", _ROLLBACK)
 _VERSIONS = slice(18, 20)
 _USES_WAL, _USES_NONE = b"\x02\x02", b"\x01\x01"
 """The file format versions of https://www.sqlite.org/fileformat.html, 1.3.1."""
+
+
+def limit_for(entries: Iterable[Entry]) -> int:
+    """The size that the file may have with these new lines, in bytes."""
+    revokes = all(each.kind in _REVOKING for each in entries)
+    return MAX_SIZE if revokes else MAX_SIZE - MAX_SIZE // _RESERVED
+
+
+def most_with(private: Folder, entries: Iterable[Entry]) -> int:
+    """A size, in bytes, over which the file will not be with these new lines."""
+    size, (fixed, times) = 0, _OF_LINE
+    for name in (layout.LEDGER, layout.LEDGER + _WAL):
+        with suppress(FileNotFoundError):
+            size += os.lstat(name, dir_fd=private.handle).st_size
+    return size + sum(fixed + times * len(f"{each.name}{details_text(each)}") for each in entries)
+
+
+def refuse_larger(size: int, limit: int | None = None) -> None:
+    """TooLargeError for a file of that size [default of the limit: what `load` reads]."""
+    hint = "keep it in a database: `pqsec ledger move ADDRESS`; docs/how-to/postgresql.md"
+    TooLargeError.check("the ledger", size, MAX_SIZE if limit is None else limit, hint=hint)
 
 
 def load(private: Folder) -> bytes | None:
@@ -79,7 +108,11 @@ def check(private: Folder) -> None:
 
 
 def save(private: Folder, data: bytes, beside: Folder) -> None:
-    """Replace the database by `data`, with one rename of a synced file in the folder `beside`."""
+    """Replace the database by `data`, with one rename of a synced file in the folder `beside`.
+
+    TooLargeError if it could not be read again.
+    """
+    refuse_larger(len(data))
     with suppress(FileNotFoundError):
         os.unlink(layout.LEDGER, dir_fd=beside.handle)  # left by an interrupted attempt
     create(layout.LEDGER, data, mode=_mode(private), sync=True, folder=beside.handle)

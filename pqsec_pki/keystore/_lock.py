@@ -1,7 +1,7 @@
 """The lock of a keystore: one thread of one process changes it at a time.
 
-It is an flock on the folder itself: it ends with the process that holds it, and leaves no
-file.
+It is an flock on the folder itself: it ends with the process that holds it, whose forks have no
+part in it, and leaves no file.
 """
 
 import fcntl
@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from pqsec_pki._locks import lock, unshared
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore._folder import Folder
 
@@ -42,7 +43,7 @@ def locked(root: Path) -> Iterator[Folder]:
     if this in _held.roots:
         yield _held.roots[this]
         return
-    with Folder.opened(root) as folder:
+    with Folder.opened(root) as folder, unshared(folder.handle):
         folder.refuse_outsiders()
         _lock(folder, fcntl.LOCK_EX)
         _held.count += 1
@@ -71,7 +72,7 @@ def at_rest(root: Path) -> Iterator[Folder]:
     if this in _held.roots:
         yield _held.roots[this]
         return
-    with Folder.opened(root) as folder:
+    with Folder.opened(root) as folder, unshared(folder.handle):
         _lock(folder, fcntl.LOCK_SH)
         yield folder
 
@@ -80,7 +81,7 @@ def _lock(folder: Folder, kind: int) -> None:
     give_up = time.monotonic() + PATIENCE
     while True:
         try:
-            fcntl.flock(folder.handle, kind | fcntl.LOCK_NB)
+            lock(folder.handle, kind)
         except BlockingIOError:
             if time.monotonic() > give_up:
                 raise KeystoreError(

@@ -18,16 +18,16 @@ from operator import attrgetter
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, create, sync_filesystem
-from pqsec_pki.errors import KeystoreError, UsageError
+from pqsec_pki.errors import KeystoreError, TooLargeError, UsageError
 from pqsec_pki.keystore import _file_store, _shredding, layout
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._transaction import Transaction, refuse_detours
-from pqsec_pki.keystore.layout import JOURNAL, PREPARED
+from pqsec_pki.keystore.layout import JOURNAL, MOVES, PREPARED
 
 DRAFT = ".draft-"
-_NAME, _LINK = "moves.json", "link"
+_LINK = "link"
 _VALUES = attrgetter(*(each.name for each in fields(Entry)))
 _IN_THE_WAY = {errno.ENOTEMPTY, errno.EEXIST, errno.EBUSY, errno.EINVAL}
 """Errors of rename(2) for a folder that cannot replace another."""
@@ -66,7 +66,7 @@ class _Moves:
 
     @classmethod
     def read(cls, journal: Folder) -> "_Moves":
-        path = f"{journal.path}/{_NAME}"
+        path = f"{journal.path}/{MOVES}"
         with os.fdopen(_open(journal, path), "rb") as file:
             data = file.read(_MAX_SIZE)
         try:
@@ -90,7 +90,10 @@ class _Moves:
 
 
 def write(transaction: Transaction) -> None:
-    """Record the steps after the commit in the staged change's folder."""
+    """Record the steps after the commit in the staged change's folder.
+
+    TooLargeError if they could not be read again.
+    """
     moves = {
         "targets": transaction.targets,
         "links": transaction.links,
@@ -100,7 +103,10 @@ def write(transaction: Transaction) -> None:
         "in_database": transaction.database is not None,
         "commitment": _commitment(transaction),
     }
-    create(_NAME, json.dumps(moves).encode(), mode=PRIVATE_MODE, folder=transaction.made.handle)
+    data = json.dumps(moves).encode()
+    hint = "change fewer participants at once: give names, or a part of the fleet"
+    TooLargeError.check("the list of what to do", len(data), _MAX_SIZE, hint=hint)
+    create(MOVES, data, mode=PRIVATE_MODE, folder=transaction.made.handle)
 
 
 def _commitment(transaction: Transaction) -> dict[str, object] | None:
@@ -121,7 +127,7 @@ def prepared_change(root: Folder) -> Commitment | None:
         prepared.refuse_outsiders()
         commitment = _Moves.read(prepared).commitment
         if commitment is None:
-            raise _unreadable(f"{prepared.path}/{_NAME}")
+            raise _unreadable(f"{prepared.path}/{MOVES}")
         return commitment
 
 
@@ -150,7 +156,38 @@ def finish(root: Folder) -> None:
         _shredding.shred(journal)
     spent = f"{DRAFT}{secrets.token_hex(8)}"
     os.rename(JOURNAL, spent, src_dir_fd=root.handle, dst_dir_fd=root.handle)
+    with suppress(OSError):  # else the next change removes it
+        _remove_spent(root, spent)
+
+
+def _remove_spent(root: Folder, spent: str) -> None:
+    """Remove the executed journal, its moves last: until then `began` knows what it did."""
+    with root.below(spent) as folder:
+        for name in folder.names:
+            if folder.kind(name) == stat.S_IFDIR:
+                shutil.rmtree(name, dir_fd=folder.handle)
+            elif name != MOVES:
+                os.unlink(name, dir_fd=folder.handle)
     shutil.rmtree(spent, dir_fd=root.handle)
+
+
+def began(root: Folder) -> bool:
+    """Whether a killed command began a keystore in `root`, and committed that.
+
+    It is recorded in the journal, executed or not; an executed one may be empty already.
+    """
+    ready = root.kind(layout.SETTINGS) is not None
+    places = [each for each in root.names if each == JOURNAL or (ready and each.startswith(DRAFT))]
+    for each in places:
+        with root.below(each) as journal:
+            journal.refuse_outsiders()
+            if journal.kind(MOVES) is None:
+                begun = each != JOURNAL and not journal.names
+            else:
+                begun = _Moves.read(journal).begins_ledger
+            if begun:
+                return True
+    return False
 
 
 def _move(journal: Folder, number: str, root: Folder, target: str) -> None:
@@ -204,9 +241,9 @@ def _is_inside(place: str) -> bool:
 
 def _open(journal: Folder, path: str) -> int:
     flags = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
-    if journal.kind(_NAME) != stat.S_IFREG:
-        raise should_be(path, "file") if journal.kind(_NAME) else _unreadable(path)
-    return os.open(_NAME, flags, dir_fd=journal.handle)
+    if journal.kind(MOVES) != stat.S_IFREG:
+        raise should_be(path, "file") if journal.kind(MOVES) else _unreadable(path)
+    return os.open(MOVES, flags, dir_fd=journal.handle)
 
 
 def _unreadable(path: str) -> KeystoreError:

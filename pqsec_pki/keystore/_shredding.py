@@ -4,16 +4,19 @@ On ext4, XFS and other file systems that write in place, the zeros replace the f
 On btrfs, ZFS, an SSD's spare blocks, snapshots and backups the old bytes may remain.
 """
 
+import errno
 import os
 import secrets
 import stat
 from contextlib import suppress
 
+from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore._folder import Folder
 
 FOLDER = "spent"
 """Folder in a staged change: hard links to the files that it removes."""
 _PIECE = 1 << 20
+_NO_LINKS = {errno.EPERM, errno.EOPNOTSUPP, errno.ENOSYS, errno.EMLINK}
 _WRITE = os.O_WRONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
 
 
@@ -24,12 +27,21 @@ def hold(change: Folder, folder: Folder, name: str) -> None:
     with suppress(FileExistsError):
         os.mkdir(FOLDER, 0o700, dir_fd=change.handle)
     with change.below(FOLDER) as spent:
-        os.link(
-            *(name, secrets.token_hex(8)),
-            src_dir_fd=folder.handle,
-            dst_dir_fd=spent.handle,
-            follow_symlinks=False,
-        )
+        try:
+            os.link(
+                *(name, secrets.token_hex(8)),
+                src_dir_fd=folder.handle,
+                dst_dir_fd=spent.handle,
+                follow_symlinks=False,
+            )
+        except OSError as error:
+            if error.errno not in _NO_LINKS:
+                raise
+            raise KeystoreError(
+                f"{folder.path}: the file system has no hard links, with which old keys are"
+                " overwritten",
+                hint="move the keystore to ext4, XFS or Btrfs",
+            ) from error
 
 
 def shred(change: Folder) -> None:

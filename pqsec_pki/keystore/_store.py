@@ -6,6 +6,7 @@ from typing import Protocol
 from pqsec_pki.keystore._copies import CopyKey
 
 MAX_TEXT = 16 << 20
+MAX_DETAILS = MAX_TEXT - (64 << 10)
 """Bytes of one text in a line, or of all names in a question; our own lines have under 10,000."""
 
 

@@ -6,7 +6,7 @@ Anything that would make a later step fail is refused here, before the keystore 
 import os
 import stat
 from collections.abc import Collection, Iterable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -14,17 +14,20 @@ from typing import TYPE_CHECKING
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import PRIVATE_MODE, PUBLIC_MODE, create
 from pqsec_pki._owners import operator
-from pqsec_pki.errors import ExistsError, KeystoreError
-from pqsec_pki.keystore import _file_store, _moved_ledger, _shredding, layout
-from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.errors import ExistsError, KeystoreError, TooLargeError
+from pqsec_pki.keystore import _file_store, _ledger_file, _moved_ledger, _shredding, layout
+from pqsec_pki.keystore._chain import Entry, details_text
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._shared_files import LedgerFile, recorded_files
+from pqsec_pki.keystore._store import MAX_DETAILS
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
     from pqsec_pki.keystore.authorities import Authorities
+
+_SMALLER = "change fewer participants at once"
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,14 +138,24 @@ class Transaction:
     def record(self, *entries: Entry) -> None:
         """Add entries for the ledger, written with the change.
 
-        KeystoreError if the ledger cannot be written; UsageError as of `operator`.
+        KeystoreError if the ledger cannot be written, TooLargeError for a line that could not be
+        read again; UsageError as of `operator`.
         """
         if not (self.entries or self.database):
             # A keystore has a ledger; a keystore that is being adopted has none.
             self.begins_ledger = self.root.kind(layout.SETTINGS) is None
             _check_ledger(self.root, begin=self.begins_ledger)
+        for entry in entries:
+            size = len(details_text(entry))
+            TooLargeError.check("a line of the ledger", size, MAX_DETAILS, hint=_SMALLER)
         name = operator()
         self.entries += [replace(entry, operator=name) for entry in entries]
+
+    def refuse_full_ledger(self) -> None:
+        """TooLargeError if the ledger's file could not be read with the new lines."""
+        if self.database is None and self.entries:
+            with self._ledger_folder() as folder:
+                _file_store.refuse_full(folder, self.entries, begin=self.begins_ledger)
 
     def sign_head(self) -> None:
         """Stage the head of the ledger with the new lines, if the signers' keys were opened."""
@@ -167,13 +180,15 @@ class Transaction:
     def stage_ledger_file(self) -> None:
         """Stage the ledger, with the new lines, as a file, and read it back.
 
-        KeystoreError if it has other lines then.
+        KeystoreError if it has other lines then, TooLargeError if it could not be read.
         """
         with self._ledger() as ledger:
             ledger.append(self.entries)
             wanted = ledger.stored()
             private = self.folder(layout.PRIVATE, private=True)
-            private.private(layout.LEDGER, ledger.to_file())
+            data = ledger.to_file()
+            _ledger_file.refuse_larger(len(data))
+            private.private(layout.LEDGER, data)
         with self.made.below(private.name) as staged, Ledger(FileStore(staged)) as ledger:
             if ledger.stored() != wanted:
                 raise KeystoreError(f"{staged.path}/{layout.LEDGER} has other lines than written")
@@ -205,11 +220,18 @@ class Transaction:
             with Ledger(self.database) as ledger:
                 yield ledger
             return
-        begin = self.begins_ledger
+        with (
+            self._ledger_folder() as folder,
+            Ledger(FileStore(folder, begin=self.begins_ledger)) as ledger,
+        ):
+            yield ledger
+
+    @contextmanager
+    def _ledger_folder(self) -> Iterator[Folder]:
+        """The folder with the ledger's file; that of the change in a new keystore."""
         there = self.root.kind(layout.PRIVATE) is not None
-        with ExitStack() as stack:
-            folder = stack.enter_context(self.root.below(layout.PRIVATE)) if there else self.made
-            yield stack.enter_context(Ledger(FileStore(folder, begin=begin)))
+        with self.root.below(layout.PRIVATE) if there else nullcontext(self.made) as folder:
+            yield folder
 
     def refuse_folders(self) -> None:
         """KeystoreError if a staged file would have to replace a folder."""

@@ -11,20 +11,24 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pqsec_pki._files import exists, read
-from pqsec_pki.errors import KeystoreError, UsageError, other_format
+from pqsec_pki.errors import KeystoreError, TooLargeError, UsageError, other_format
 from pqsec_pki.keystore.layout import GROUPS, enclave_name
 
 GROUP_NAME = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]{0,63}")
 """The syntax of one part of a participant's name: no shell changes it."""
 _FORMAT = 1
-_LIMIT = 64 << 20
-"""Bytes: 1,000,000 names of 64 characters, the most that a domain file may put into groups."""
+_LIMIT = 80 << 20
+"""Bytes: 1,000,000 names of 64 characters, the most that a domain file may put into groups, each in
+quotes on a line."""
 
 
 def groups_file(groups: Mapping[str, tuple[str, ...]]) -> bytes:
-    """The content of groups.json: the names of the members of each group."""
+    """The content of groups.json: the names of the members of each group. TooLargeError."""
     content = {"format": _FORMAT, "groups": {key: list(groups[key]) for key in sorted(groups)}}
-    return json.dumps(content, indent=1).encode() + b"\n"
+    data = json.dumps(content, indent=1).encode() + b"\n"
+    hint = "put fewer names into groups of the domain file"
+    TooLargeError.check("groups.json", len(data), _LIMIT, hint=hint)
+    return data
 
 
 def read_groups(root: Path) -> dict[str, tuple[str, ...]]:

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Self
 
 from pqsec_pki import credentials
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, exists, read, read_within, real_path
+from pqsec_pki._files import (
+    disk_errors,
+    exists,
+    read,
+    read_within,
+    real_path,
+    refuse_without_links,
+)
 from pqsec_pki.algorithms import PrivateKey, Profile, is_encrypted
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import CA_FILES, NEEDED, Credentials, TrustAnchors
@@ -82,6 +89,7 @@ class Keystore:
         domains that stacks read differently.
         """
         cls.refuse_occupied(root)
+        refuse_without_links(root, "a keystore", hard=True)
         settings = _settings.settings_file(profile, domains, ledger)
         authorities = Authorities.create(profile, name, now=now, validity=validity, keys=keys)
         governance = Governance.protected(domains).to_xml()
@@ -148,10 +156,12 @@ class Keystore:
     def refuse_occupied(root: Path) -> None:
         """ExistsError if the folder `root` has any part of a keystore already."""
         if taken := _parts_in(root):
-            raise ExistsError(
-                f"{root} already has {', '.join(taken)}",
-                hint="CA keys are never overwritten: choose another folder",
-            )
+            hint = "CA keys are never overwritten: choose another folder"
+            if _journal.is_interrupted(root):
+                hint = (
+                    f"a killed command began it: `pqsec -k {quote(str(root))} ca recover` ends that"
+                )
+            raise ExistsError(f"{root} already has {', '.join(taken)}", hint=hint)
 
     @property
     def identity_ca(self) -> Certificate:

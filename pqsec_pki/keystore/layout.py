@@ -26,11 +26,15 @@ GROUPS = "groups.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
 JOURNAL, PREPARED = ".journal", ".prepared"
 """A change after its commit, and just before it."""
+MOVES = "moves.json"
+"""In both: what remains to be done."""
 GENERATIONS = f"{PRIVATE}/generations"
 """CAs that have been replaced, in folders numbered from 1."""
 LEDGER = "ledger.sqlite3"
 LEDGER_FILES = tuple(LEDGER + each for each in ("", "-wal", "-shm", "-journal"))
 """The ledger, and what SQLite of an earlier pqsec left beside it."""
+SEEN = "seen.json"
+"""In `private/`: the participants' files that were right. Without it, all files are read."""
 TREE_HEAD, TREE = "ledger.checkpoint", "ledger.tree"
 """In `public/`: the newest signed head of the ledger, and what is needed to extend its tree."""
 

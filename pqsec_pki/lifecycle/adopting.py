@@ -9,9 +9,10 @@ from contextlib import suppress
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import disk_errors, read, refuse_without_links
 from pqsec_pki.algorithms import PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import DomainSet
@@ -30,6 +31,7 @@ from pqsec_pki.keystore import (
     layout,
     load_certificate,
     load_first_certificate,
+    resume,
     settings_file,
 )
 from pqsec_pki.lifecycle._scan import KeystoreScan
@@ -87,15 +89,29 @@ def adoptable(root: Path, *, now: datetime) -> Adoptable:
 def adopt(root: Path, *, now: datetime) -> Adopted:
     """Make the folder `root` a pqsec keystore.
 
+    If an earlier call was killed or met a full disk after its commit, this finishes it.
     ExistsError if it is one, KeystoreError if it lacks the CAs' certificates or the
     governance. A participant's faulty files are reported in `refused`, and not entered in the
     ledger.
     """
+    if resume(root):
+        return _resumed(root, now)
     _refuse_unfit(root)
+    refuse_without_links(root, "a keystore", hard=True)
     with change(root) as transaction:
         _refuse_unfit(root)
         keystore, scan, fitting = _scanned(root, now)
         _stage(transaction, keystore, scan)
+    return _adopted(keystore, scan, fitting=fitting)
+
+
+def _resumed(root: Path, now: datetime) -> Adopted:
+    """What a killed `adopt` adopted, after its change was finished."""
+    _, scan, fitting = _scanned(root, now)
+    return _adopted(Keystore.open(root, to_change=True), scan, fitting=fitting)
+
+
+def _adopted(keystore: Keystore, scan: KeystoreScan, *, fitting: bool) -> Adopted:
     return Adopted(
         keystore=keystore,
         participants=list(scan.participants.values()),
@@ -133,7 +149,10 @@ def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> 
 def _refuse_unfit(root: Path) -> None:
     with disk_errors(root):
         if os.path.lexists(root / layout.SETTINGS):
-            raise ExistsError(f"{root} is a pqsec keystore already")
+            raise ExistsError(
+                f"{root} is a pqsec keystore already",
+                hint=f"`pqsec -k {quote(str(root))} status` shows what is in it",
+            )
         missing = [name for name in _NEEDED if not (root / name).is_file()]
         links = [root / name for name in _FOLDERS if (root / name).is_symlink()]
     if missing:

@@ -13,7 +13,7 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, KEY, PERMISSIONS, SIX
-from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki.errors import FileError, InterruptedChangeError, PqsecError
 from pqsec_pki.keystore import SETTINGS, Keystore, layout
 from pqsec_pki.lint.file import File, file_with
 
@@ -27,7 +27,10 @@ LEDGER = f"{layout.PRIVATE}/{layout.LEDGER}"
 _RELEVANT = re.compile(
     r"\.(pem|crt|cer|der|key|crl|p7s|p7m|smime|xml|proof)(?![A-Za-z0-9])", re.IGNORECASE
 )
-_DRAFT = re.compile(r"\.draft-[0-9a-f]{16}")
+_DRAFT = re.compile(r"\.(draft|pqsec)-[0-9a-f]{16}")
+_UNFINISHED = (layout.JOURNAL, layout.PREPARED)
+_OF_KEYSTORE = (SETTINGS, *(f"{each}/{layout.MOVES}" for each in _UNFINISHED))
+"""A folder with one of these files is a keystore, or one that a killed command began."""
 _TWO_OF_SIX = 2
 _NO_TARGET = {errno.ENOENT, errno.ENOTDIR, errno.ELOOP}
 """Errors of a broken link. After other errors it is unknown whether the target exists."""
@@ -65,7 +68,7 @@ class Search:
                 raise FileError("not a file", where=path)
             self._file(path, found)
             return
-        if self.keystore is None and os.path.isfile(path / SETTINGS):  # noqa: PTH113 -- no error
+        if self.keystore is None and any(os.path.isfile(path / each) for each in _OF_KEYSTORE):  # noqa: PTH113 -- no error
             self._settings(path)
         if missing := _missing_parts(path):
             self.missing_parts[path] = missing
@@ -76,12 +79,11 @@ class Search:
     def _settings(self, root: Path) -> None:
         """Read the settings of a keystore; if a change was interrupted, only record that."""
         path = root / SETTINGS
-        for name in (layout.JOURNAL, layout.PREPARED):
-            if os.path.lexists(root / name):
-                self.interrupted_change = root / name
-                return
         try:
             self.keystore = Keystore.open(root)
+        except InterruptedChangeError:
+            there = [each for each in _UNFINISHED if os.path.lexists(root / each)]
+            self.interrupted_change = root / (there or _UNFINISHED)[0]
         except PqsecError as error:
             self._unread(path, error.words_at(path))
 

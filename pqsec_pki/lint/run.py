@@ -61,9 +61,10 @@ class LintReport:
 
     def to_json(self, *, strict: bool = False) -> dict[str, object]:
         """The report for --json; `strict` as in `is_clean`."""
+        incomplete = bool(self.unread or self.inventory.interrupted_change)
         return {
-            "ok": self.is_clean(strict=strict) and not self.unread,
-            "incomplete": bool(self.unread),
+            "ok": self.is_clean(strict=strict) and not incomplete,
+            "incomplete": incomplete,
             "files": self.files_read,
             "counts": {severity.value: self.count(severity) for severity in Severity},
             "findings": self.findings,

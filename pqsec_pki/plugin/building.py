@@ -61,6 +61,7 @@ def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Bu
     if not force:
         for path in (library, *links):
             _files.refuse_existing(path)
+    _files.refuse_without_links(folder, "the plugin")
     planned = planned_units(units, force=force) if units else {}
     compiled = _compiled()
     try:

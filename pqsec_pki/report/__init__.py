@@ -25,12 +25,18 @@ if TYPE_CHECKING:
     from pqsec_pki.report.comparing import Changes, EarlierReport, changes_since, read_earlier
     from pqsec_pki.report.page import html_of
     from pqsec_pki.report.rows import csv_of
-    from pqsec_pki.report.signature import refuse_changed, signature_path, statement_of
+    from pqsec_pki.report.signature import (
+        MAX_REPORT,
+        refuse_changed,
+        signature_path,
+        statement_of,
+    )
     from pqsec_pki.report.values import Report
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "MAX_REPORT",
     "Changes",
     "EarlierReport",
     "Report",

@@ -19,6 +19,7 @@ from multiprocessing.process import BaseProcess
 from typing import Any, NamedTuple, TypeVar
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._processes import end_with
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.selfcheck._worker import AllPairsJob, Worker
 
@@ -85,7 +86,7 @@ def worker_pool(job: AllPairsJob, size: int) -> Iterator[WorkerPool]:
     pipes = [get_context("spawn").Pipe() for _ in range(size)]
     # Fresh processes: a fork of one that has threads may hang.
     members = tuple(
-        _Member(get_context("spawn").Process(target=_serve, args=(theirs, job)), ours)
+        _Member(get_context("spawn").Process(target=_serve, args=(theirs, job, os.getpid())), ours)
         for ours, theirs in pipes
     )
     try:
@@ -99,8 +100,9 @@ def worker_pool(job: AllPairsJob, size: int) -> Iterator[WorkerPool]:
                 _end(member.process)
 
 
-def _serve(pipe: "Connection[Any, Any]", job: AllPairsJob) -> None:
+def _serve(pipe: "Connection[Any, Any]", job: AllPairsJob, parent: int) -> None:
     """Run a worker process: answer until the pipe is closed, or the work fails."""
+    end_with(parent)
     with suppress(EOFError, OSError):
         try:
             worker = Worker.of(job)

@@ -22,7 +22,7 @@ from pqsec_pki.server.events import log
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.metrics import StatusPages
-from pqsec_pki.server.running import bound, given_sockets, notify, stay
+from pqsec_pki.server.running import bound, end_with_signer, given_sockets, notify, stay
 
 reactor: Any = _reactor
 _GRACE = 5.0
@@ -74,7 +74,6 @@ class Listening:
             self._ports.append(_adopted(bound(settings.status), pages))
         for number, handler in ((signal.SIGTERM, self._stop), (signal.SIGHUP, self._reload)):
             signal.signal(number, lambda *_, call=handler: reactor.callFromThread(call))
-        signal.signal(signal.SIGPIPE, signal.SIG_IGN)  # a client may go at any time
         signal.signal(signal.SIGINT, signal.getsignal(signal.SIGTERM))
         stay()
         log({"event": "the server listens", "url": settings.url, "addresses": addresses})
@@ -116,7 +115,8 @@ class Listening:
 
 
 def run_front(settings: ServerSettings) -> None:
-    """Answer clients until SIGTERM."""
+    """Answer clients until SIGTERM, or until the signer that started this process ends."""
+    end_with_signer()
     Listening(settings).run()
 
 

@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import FileVersion, noted
+from pqsec_pki._processes import end_with
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
@@ -32,6 +33,8 @@ from pqsec_pki.server.state_folder import state_held
 _FIRST_GIVEN = 3
 """The file descriptor of the first socket that systemd passes (sd_listen_fds(3))."""
 _BACKLOG = 1024
+_SIGNER = "SERVE_SIGNER_PROCESS"
+"""In the front that the signer started: the signer's process, with which it ends."""
 _NOT_PASSED = ("PG", "PQSEC_")
 """Variables that the front does not get: they may have the password of the ledger's database."""
 _COLLECTED = 700, 10, 10
@@ -173,6 +176,15 @@ def _notices(settings: ServerSettings) -> socket.socket:
     return made
 
 
+def end_with_signer() -> None:
+    """Let the system end this front with the signer that started it, even if that is killed.
+
+    Else it would keep the port, with keys of TLS, and no other could listen there.
+    """
+    if (signer := os.environ.get(_SIGNER, "")).isdecimal():
+        end_with(int(signer))
+
+
 def _has_notice(notices: socket.socket) -> bool:
     with suppress(BlockingIOError):
         return bool(notices.recv(64))
@@ -191,6 +203,7 @@ def _started(settings: ServerSettings) -> "subprocess.Popen[bytes]":
         env={
             **{name: each for name, each in os.environ.items() if not name.startswith(_NOT_PASSED)},
             "NOTIFY_SOCKET": str(settings.notices.absolute()),
+            _SIGNER: str(os.getpid()),
         },
         pass_fds=passed,
         user=user,

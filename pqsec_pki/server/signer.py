@@ -69,7 +69,6 @@ class SignerProcess:
         signal.signal(signal.SIGTERM, self._stop)
         signal.signal(signal.SIGINT, self._stop)
         signal.signal(signal.SIGHUP, self._reload)
-        signal.signal(signal.SIGPIPE, signal.SIG_IGN)
         self.listener.settimeout(_POLL)
         while not self.stopping:
             if self.reloading:

@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
+from pqsec_pki._locks import lock, unshared
 from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import FileError
 from pqsec_pki.server.configuration import ServerSettings
@@ -48,15 +49,16 @@ def state_held(settings: ServerSettings) -> Iterator[None]:
     with disk_errors(settings.state):
         folder = os.open(settings.state, os.O_RDONLY | os.O_DIRECTORY)
     try:
-        _lock(folder, settings)
-        yield
+        with unshared(folder):
+            _lock(folder, settings)
+            yield
     finally:
         os.close(folder)
 
 
 def _lock(folder: int, settings: ServerSettings) -> None:
     try:
-        fcntl.flock(folder, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        lock(folder, fcntl.LOCK_EX)
     except BlockingIOError:
         raise FileError(
             f"{settings.state}: another server uses this folder",

@@ -3,19 +3,19 @@
 import os
 import re
 import shlex
-import shutil
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import field
 from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._drafts import draft_folder
 from pqsec_pki._files import (
     PRIVATE_MODE,
     PUBLIC_MODE,
     create,
     disk_errors,
+    move_new,
     read,
     refuse_existing,
 )
@@ -150,17 +150,13 @@ def write(export: Export, folder: Path, *, force: bool = False) -> list[Path]:
         if not there:
             folder.parent.mkdir(parents=True, exist_ok=True)
         place = folder if there else folder.parent
-        with disk_errors(folder, drafting=True):
-            draft = Path(tempfile.mkdtemp(prefix=f".{folder.name}.", dir=place))
-        try:
-            with disk_errors(folder, drafting=True):
-                _fill(draft, export)
-            if there:
-                _move(export, draft, folder, force=force)
-            else:
-                draft.rename(folder)
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
+        with disk_errors(folder, drafting=True), draft_folder(str(place)) as draft:
+            _fill(Path(draft), export)
+            with disk_errors(folder):
+                if there:
+                    _move(export, Path(draft), folder, force=force)
+                else:
+                    Path(draft).rename(folder)
     return [folder / name for name in export.files]
 
 
@@ -189,7 +185,7 @@ def _move(export: Export, draft: Path, folder: Path, *, force: bool) -> None:
         if force:
             new.replace(goal)
         else:
-            goal.hardlink_to(new)  # replaces no file that was created in the meantime
+            move_new(new, goal)  # replaces no file that was created in the meantime
 
 
 def _is_secret(export: Export, source: str | Path) -> bool:

@@ -126,6 +126,7 @@ def install_opendds(
     found = installed_opendds(folder)
     if found and not found.problem and not force:
         _files.refuse_existing(folder / OPENDDS)
+    _files.refuse_without_links(folder, "the plugin")
     with tempfile.TemporaryDirectory(prefix="pqsec-", dir=compilers.folder) as name:
         made = _files.read(compile_opendds(stack, Path(name), compilers))
     status = stack.library.path.stat()

@@ -6,9 +6,14 @@ Each of these runs in a process of its own, as from a shell.
 import json
 import os
 import signal
+import socket
+import struct
 import subprocess
 import sys
+import textwrap
+import threading
 import time
+from contextlib import suppress
 from pathlib import Path
 
 import click
@@ -247,6 +252,8 @@ ROOMS = ("access", "domain", "handshake", "lint", "plugin", "selfcheck")
 HEAVY += tuple(f"pqsec_pki.{room}" for room in ROOMS)
 LIST_LOADED = """\
 import sys
+import textwrap
+import threading
 from pqsec_pki.cli import main
 try:
     main()
@@ -324,6 +331,90 @@ def test_a_reader_that_left_ends_it_quietly(tmp_path):
         os.close(reading)
         assert process.stderr.read() == b""
     assert process.returncode == -signal.SIGPIPE  # a shell calls it 141
+
+
+def test_a_reader_of_errors_that_left_ends_it_quietly(tmp_path):
+    reading, writing = os.pipe()
+    with start(tmp_path, "nonsense", stdout=writing, stderr=writing) as process:
+        os.close(writing)
+        os.close(reading)
+    assert process.returncode == -signal.SIGPIPE
+
+
+def test_what_was_open_is_closed_when_a_reader_has_left(tmp_path):
+    """The folder that a command made for its work, for example."""
+    script = """
+        import sys, click, pathlib
+        from contextlib import contextmanager
+        from pqsec_pki.cli import algorithms, main
+        @contextmanager
+        def work():
+            try:
+                yield
+            finally:
+                pathlib.Path("closed").touch()
+        @click.command
+        def profiles():
+            with work():
+                click.echo("result")
+        algorithms.profiles = profiles
+        sys.argv = ["pqsec", "profiles"]
+        main()
+    """
+    reading, writing = os.pipe()
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    with subprocess.Popen(command, cwd=tmp_path, stdout=writing, stderr=subprocess.PIPE) as process:
+        os.close(writing)
+        os.close(reading)
+        assert process.stderr.read() == b""
+    assert (process.returncode, (tmp_path / "closed").exists()) == (-signal.SIGPIPE, True)
+
+
+def test_a_peer_that_closes_a_connection_is_an_error_and_ends_nothing_quietly(tmp_path):
+    """Of a signer in a token, for example, whose library says no more than the system did."""
+    script = """
+        import sys, click, socket
+        from pqsec_pki.cli import algorithms, main
+        @click.command
+        def profiles():
+            ours, theirs = socket.socketpair()
+            theirs.close()
+            ours.sendall(b"question")
+        algorithms.profiles = profiles
+        sys.argv = ["pqsec", "profiles"]
+        main()
+    """
+    command = [sys.executable, "-c", textwrap.dedent(script)]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    Result(done.returncode, done.stdout, done.stderr).refused(
+        3, "the other side of a connection closed it", hint="run the command again"
+    )
+
+
+@pytest.mark.parametrize("linger", [b"", struct.pack("ii", 1, 0)], ids=["closed", "reset"])
+@pytest.mark.parametrize("octets", [0, 1, 600])
+def test_enrol_at_a_server_that_closes_is_an_error(tmp_path, linger, octets):
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        threading.Thread(target=close_each, args=(listener, linger, octets), daemon=True).start()
+        url = f"https://127.0.0.1:{listener.getsockname()[1]}"
+        options = f"--name /r --dir robot --server-pin {'0' * 64} --trust-first --profile pq"
+        process = start(tmp_path, f"enrol {url} {options}")
+        out, err = process.communicate(timeout=300)
+    assert process.returncode == 3, err
+    assert "run the command again" in err.decode()
+    assert out == b""
+
+
+def close_each(listener, linger, octets):
+    """Close each connection after that many octets: in order, or with a reset."""
+    with suppress(OSError):
+        while True:
+            link, _ = listener.accept()
+            if linger:
+                link.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, linger)
+            if octets:
+                link.recv(octets)
+            link.close()
 
 
 @pytest.mark.parametrize("option", ["", "--json"])

@@ -10,7 +10,7 @@ from pqsec_pki.algorithms._pair import SignaturePair
 from pqsec_pki.algorithms._pbes2 import MAX_ITERATIONS
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.certificates.request import MAX_REQUEST
-from pqsec_pki.certificates.revocation import MAX_LIST
+from pqsec_pki.certificates.revocation import MAX_DER, MAX_LIST
 from pqsec_pki.documents._schema import MAX_PROBLEMS
 from pqsec_pki.documents._xml import MAX_DOCUMENT
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, MAX_CONTENT, MAX_MEMBERS
@@ -60,7 +60,8 @@ FILE_LIMITS = {
     "parts in one of its BER values": MAX_CHILDREN,
     "a certificate": MAX_CERTIFICATE,
     "a certificate request": MAX_REQUEST,
-    "a revocation list": MAX_LIST,
+    "a revocation list in PEM": MAX_LIST,
+    "a revocation list in DER": MAX_DER,
     "a bundle, as a file": MAX_ARCHIVE,
     "a bundle, unpacked": MAX_CONTENT,
     "files in a bundle": MAX_MEMBERS,

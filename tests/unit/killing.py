@@ -34,7 +34,9 @@ YEAR = timedelta(days=365)
 KILLED = 9
 REASONS = (errno.ENOSPC, errno.EROFS, errno.EIO)
 """Why a disk refuses."""
-CALLS = (*("open", "write", "mkdir", "chmod", "rename", "replace", "symlink", "unlink", "rmdir"),)
+CALLS = (
+    *("open", "write", "mkdir", "chmod", "rename", "replace", "link", "symlink", "unlink", "rmdir"),
+)
 
 
 def create(root):
@@ -248,7 +250,9 @@ def is_keystore(root: Path) -> bool:
 
 
 def drafts(root: Path) -> list[Path]:
-    return [path for path in root.glob(".*") if path.name.startswith((".draft-", ".journal"))]
+    return [
+        path for path in root.glob(".*") if path.name.startswith((".draft-", ".journal", ".pqsec-"))
+    ]
 
 
 def fails_with(code: int, calls: int, work: Callable[[], object]) -> bool:

@@ -1,5 +1,6 @@
 """Work shared out to processes, in a process of its own: one with threads is never forked."""
 
+import fcntl
 import json
 import os
 import signal
@@ -7,13 +8,14 @@ import subprocess
 import sys
 import textwrap
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
 
 from pqsec_pki._processes import LEAST
 from pqsec_pki.algorithms import load_private_key, profile_named
-from pqsec_pki.keystore import Keystore, audit
+from pqsec_pki.keystore import Keystore, audit, change
 from tests.unit.killing import create
 
 CORES = len(os.sched_getaffinity(0))
@@ -170,12 +172,149 @@ def test_the_others_end_with_the_first(tmp_path, end, code):
     assert [each for each in processes if runs(each)] == []
 
 
+# A killed parent, with more workers than this machine has cores
+
+EIGHT = """
+from pathlib import Path
+import pqsec_pki._processes as processes
+from pqsec_pki.keystore import change
+processes._cores = lambda: 8
+here, place, k = os.getpid(), Path(sys.argv[1]), Path(sys.argv[2])
+if sys.argv[3] == "alone":  # no help of the system
+    processes.end_with = lambda parent: None
+def work(n):
+    if os.getpid() == here:
+        (place / "parent").touch()
+        time.sleep(600)
+    %s
+with change(k):
+    shared_out(work, range(LEAST * 8))
+""".replace("LEAST", str(LEAST))
+
+
+@contextmanager
+def eight_workers(tmp_path, what, help_of_system):
+    """A parent that holds a keystore's lock and takes no answer, with its seven workers."""
+    place, k = tmp_path / "place", tmp_path / "k"
+    place.mkdir()
+    create(k)
+    command = [sys.executable, "-c", BEGIN + EIGHT % what, place, k, help_of_system]
+    parent = subprocess.Popen(command)
+    try:
+        wait_until(lambda: len(children(parent.pid)) == 7 and (place / "parent").exists())
+        workers = children(parent.pid)
+        yield parent, workers, place, k
+    finally:
+        parent.kill()
+        parent.wait()
+        for each in filter(runs, workers):
+            os.kill(each, signal.SIGKILL)
+
+
+def children(process):
+    return [
+        int(each)
+        for task in Path(f"/proc/{process}/task").iterdir()
+        for each in (task / "children").read_text().split()
+    ]
+
+
+def wait_until(is_so):
+    patience = time.monotonic() + 120
+    while not is_so():
+        assert time.monotonic() < patience
+        time.sleep(0.01)
+
+
+def is_free(keystore):
+    handle = os.open(keystore, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    finally:
+        os.close(handle)
+    return True
+
+
+@pytest.mark.parametrize("help_of_system", ["ended", "alone"])
+def test_workers_that_write_their_answers_end_with_a_killed_parent(tmp_path, help_of_system):
+    """Their pipes are full: a reader in any of them would keep them all for ever."""
+    made = "(place / str(n)).touch(); return bytes(1 << 20)"
+    with eight_workers(tmp_path, made, help_of_system) as (parent, workers, place, k):
+        wait_until(lambda: len(list(place.iterdir())) == LEAST * 7 + 1)
+        wait_until(lambda: all(state(each) == "S" for each in workers))
+        assert not is_free(k)
+        parent.kill()
+        parent.wait()
+        wait_until(lambda: not any(map(runs, workers)))
+        assert is_free(k)
+
+
+def test_workers_in_the_middle_of_an_item_end_with_a_killed_parent(tmp_path):
+    with eight_workers(tmp_path, "time.sleep(600)", "ended") as (parent, workers, _, k):
+        parent.kill()
+        parent.wait()
+        wait_until(lambda: not any(map(runs, workers)))
+        assert is_free(k)
+
+
+def test_a_worker_that_cannot_end_holds_no_lock_of_its_killed_parent(tmp_path):
+    """As one that waits for a disk."""
+    with eight_workers(tmp_path, "time.sleep(600)", "alone") as (parent, workers, _, k):
+        parent.kill()
+        parent.wait()
+        wait_until(lambda: is_free(k))
+        assert all(map(runs, workers))
+        assert Keystore.open(k, to_change=True).names() == []
+        with change(k):  # removes the draft of the killed one
+            assert len(list(k.glob(".draft-*"))) == 1
+
+
+def test_a_worker_has_no_pipe_or_socket_of_its_parent(tmp_path):
+    script = """
+        import socket
+        import pqsec_pki._processes as processes
+        processes._cores = lambda: 8
+        kept = os.pipe(), socket.socketpair()
+        def work(n):
+            handles = [each for each in os.listdir("/proc/self/fd") if int(each) > 2]
+            names = [f"/proc/self/fd/{each}" for each in handles]
+            found = [os.readlink(each) for each in names if os.path.lexists(each)]
+            return os.getpid(), [each for each in found if each.startswith(("pipe:", "socket:"))]
+        print(json.dumps([os.getpid(), shared_out(work, list(range(200)))]))
+    """
+    here, found = run(script)
+    assert {len(links) for process, links in found if process != here} == {1}  # for its answer
+
+
+def test_what_a_fork_still_adds_to_a_removed_draft_is_removed_too(tmp_path, monkeypatch):
+    create(tmp_path)
+    draft = tmp_path / ".draft-0123456789abcdef"
+    (draft / "0").mkdir(parents=True)
+    rmdir, left = os.rmdir, [3]
+
+    def meanwhile(path, *, dir_fd=None):
+        if left[0]:
+            left[0] -= 1
+            (draft / "0" / f"{left[0]}").touch()
+        rmdir(path, dir_fd=dir_fd)
+
+    monkeypatch.setattr(os, "rmdir", meanwhile)
+    with change(tmp_path):
+        pass
+    assert (left, list(tmp_path.glob(".draft-*"))) == ([0], [])
+
+
+def state(process):
+    return Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+
+
 def runs(process):
     try:
-        state = Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0]
+        return state(process) != "Z"
     except OSError:
         return False
-    return state != "Z"
 
 
 # What it is for

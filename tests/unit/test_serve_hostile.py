@@ -300,6 +300,19 @@ def test_a_front_that_was_asked_to_end_is_no_error(tmp_path, how, code):
     assert made.process.wait(PATIENCE) == code, made.log
 
 
+def test_a_front_ends_with_its_killed_signer_and_the_next_server_can_listen(tmp_path):
+    """As when memory runs out. It would keep the port, and keys of TLS."""
+    made = Server(tmp_path, datetime.now(UTC), "classical")
+    made.start()
+    pid = made.process.pid
+    [front] = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    made.process.kill()
+    made.process.wait(PATIENCE)
+    until(lambda: not Path(f"/proc/{front}").exists())
+    made.start()
+    assert made.stop() == 0
+
+
 def test_the_front_of_another_user_may_ask_whatever_the_umask_is(tmp_path):
     front = pwd.getpwnam("nobody")
     settings = Server(tmp_path, datetime.now(UTC), "classical", front_user=front.pw_name).config

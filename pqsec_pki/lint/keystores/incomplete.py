@@ -39,7 +39,8 @@ def unreadable(file: File) -> Iterator[Violation]:
 def interrupted_change(inventory: Inventory) -> Iterator[Violation]:
     if inventory.interrupted_change:
         yield Violation(
-            "a change of the keystore was not finished", path=inventory.interrupted_change
+            "a change of the keystore was not finished: `pqsec ca recover` finishes it",
+            path=inventory.interrupted_change,
         )
 
 
