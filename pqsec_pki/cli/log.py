@@ -162,7 +162,7 @@ def _lines(keystore: Keystore, names: Iterable[str], since: datetime | None) -> 
 
     KeystoreError for a name or pattern that is in no line.
     """
-    lines = keystore.lines()
+    lines = keystore.as_found.lines()
     if names:
         known = dict.fromkeys(each.entry.name for each in lines if each.entry.name.startswith("/"))
         wanted = set(map(regular_name, keystore.named(names, sorted(known))))

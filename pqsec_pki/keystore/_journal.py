@@ -30,13 +30,15 @@ from pqsec_pki._files import disk_errors, sync_filesystem
 from pqsec_pki.errors import InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
 from pqsec_pki.keystore._address import LedgerAddress
+from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.layout import JOURNAL, PREPARED
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SETTINGS
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -62,6 +64,8 @@ def change(
             with _shared.writing(root, address) as database:
                 if authorities:
                     authorities.refuse_outdated(root)
+                if address is None:
+                    _compare_ledger(folder, database)
                 if database and address is None:
                     refuse_moved(database)
                     refuse_replaced(root, database)
@@ -91,6 +95,16 @@ def hold(root: Path, *, keep_connection: bool = False) -> Iterator[None]:
         _settle(folder)
         with _shared.writing(root, hold=True, keep=keep_connection):
             yield
+
+
+def _compare_ledger(root: Folder, database: "PostgresLedger | None") -> None:
+    """KeystoreError if the ledger, which the change extends, is not the one of the signed head."""
+    if root.kind(SETTINGS) is None:  # a keystore that is created or adopted
+        return
+    from pqsec_pki.keystore.heads import compared  # noqa: PLC0415 -- it imports authorities
+
+    with root.below(PRIVATE) as private:
+        compared(Path(root.path), lambda: Ledger(database or FileStore(private))).close()
 
 
 def recover(root: Path) -> bool:

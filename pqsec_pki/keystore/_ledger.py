@@ -111,6 +111,14 @@ class Ledger:
         """Record that the store now has the result of `to_file`."""
         self._copy.key = store.key
 
+    def fits(self, head: bytes) -> bool:
+        """Whether `is_found_to_fit` was called with that signed head, for a copy of this ledger."""
+        return self._copy.fits == head
+
+    def is_found_to_fit(self, head: bytes) -> None:
+        """Record that it has the lines of which that head was signed."""
+        self._copy.fits = head
+
     @property
     def head(self) -> str:
         """The chain value of the last line."""

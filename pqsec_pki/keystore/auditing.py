@@ -33,6 +33,7 @@ def audit(
     Someone who may write the ledger can replace it by another complete one: to detect that,
     keep heads elsewhere (anchoring.py).
     """
+    keystore = keystore.as_found
     if anchors and not anchors.is_dir():
         raise FileError(f"{anchors} is not a folder", hint="`pqsec log --anchor` makes one")
     lines, there = keystore.lines(), read_anchors(anchors) if anchors else {}

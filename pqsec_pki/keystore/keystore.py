@@ -59,6 +59,9 @@ class Keystore:
     approved: bool = field(default=False, compare=False, repr=False)
     """Whether what is done with this value was approved by the people that the policy wants."""
 
+    is_as_found: bool = field(default=False, compare=False, repr=False)
+    """Whether its ledger is read as it is: nothing may be decided by it."""
+
     @classmethod
     def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
         cls,
@@ -399,7 +402,23 @@ class Keystore:
         return _settings.read_ledger(self.root / layout.SETTINGS)
 
     def open_ledger(self) -> Ledger:
-        """The ledger, for this package's modules."""
+        """The ledger, for this package's modules.
+
+        KeystoreError if it lacks lines of which the CAs signed the newest head (`heads.compared`):
+        what a ledger from before says is not decided by. `as_found` opens it all the same.
+        """
+        if self.is_as_found:
+            return self._read_ledger()
+        from pqsec_pki.keystore.heads import compared  # noqa: PLC0415 -- it imports authorities
+
+        return compared(self.root, self._read_ledger)
+
+    @property
+    def as_found(self) -> Self:
+        """This keystore, to show what its ledger says although the CAs signed something else."""
+        return replace(self, is_as_found=True)
+
+    def _read_ledger(self) -> Ledger:
         with (
             disk_errors(self.root / layout.PRIVATE),
             Folder.opened(self.root) as root,

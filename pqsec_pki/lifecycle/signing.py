@@ -14,6 +14,7 @@ from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.approvals import Covered
 from pqsec_pki.documents import Governance, Kind
+from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
@@ -22,6 +23,7 @@ from pqsec_pki.keystore import (
     change,
     checked_head,
     document_entry,
+    faults_of_ledger,
     layout,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
@@ -82,6 +84,8 @@ def sign_head(keystore: Keystore, authorities: Authorities) -> TreeHead:
 
     VerificationError if it no longer has the lines of which the last head was signed.
     """
+    if faults := faults_of_ledger(keystore):
+        raise VerificationError(*faults, hint="`pqsec log --verify` shows what is missing")
     with change(keystore.root, authorities):
         pass  # each change with the CA keys signs one
     return checked_head(keystore).head

@@ -81,7 +81,7 @@ class Search:
                 self.interrupted_change = root / name
                 return
         try:
-            self.keystore = Keystore.open(root)
+            self.keystore = Keystore.open(root).as_found
         except PqsecError as error:
             self._unread(path, error.words_at(path))
 

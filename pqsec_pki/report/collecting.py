@@ -61,6 +61,7 @@ def report_of(
     It needs no private key. Nothing is raised for a part that cannot be read or is not valid:
     the report has a gap for it.
     """
+    keystore = keystore.as_found  # its evidence says what is wrong
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
     lines = made.part(EVENTS, keystore.lines)

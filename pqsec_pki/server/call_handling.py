@@ -85,8 +85,7 @@ class CallHandler:
         if self.revocation_list is None:
             return False
         with self.keystore.hold(keep_connection=True):
-            with self.keystore.open_ledger() as ledger:
-                self.seen.refuse_less(self.keystore.root, ledger)
+            self._whole_ledger().close()
             self._fetch_shared()
             return keep_list(
                 self.keystore, self.authorities, self.revocation_list, now=self.clock()
@@ -143,11 +142,11 @@ class CallHandler:
         if not calls:
             return []
         with self.keystore.hold(keep_connection=True):
-            with self.keystore.open_ledger() as ledger:
-                try:
-                    self.seen.refuse_less(self.keystore.root, ledger)
-                except PqsecError as error:
-                    return [unavailable(error)] * len(calls)
+            try:
+                ledger = self._whole_ledger()
+            except PqsecError as error:
+                return [unavailable(error)] * len(calls)
+            with ledger:
                 deciding = self._admission(ledger)
                 found = [decided(deciding.of, each) for each in calls]
                 admitted = [each for each in found if isinstance(each, Admitted)]
@@ -168,6 +167,16 @@ class CallHandler:
                     else refused(misdirected(each.name))
                     for call, each in zip(calls, found, strict=True)
                 ]
+
+    def _whole_ledger(self) -> Ledger:
+        """The ledger; VerificationError if it lacks lines that were there (`SeenLedger`)."""
+        ledger = self.keystore.as_found.open_ledger()
+        try:
+            self.seen.refuse_less(self.keystore.root, ledger)
+        except BaseException:
+            ledger.close()
+            raise
+        return ledger
 
     def _admission(self, ledger: Ledger) -> Admission:
         return Admission(
