@@ -19,6 +19,7 @@ from pqsec_pki.keystore import (
     SigningCa,
     audit,
     nearest,
+    older_copies,
     read_anchors,
     regular_name,
     write_anchor,
@@ -201,7 +202,14 @@ def _verify(keystore: Keystore, head: str | None, anchors: Path | None) -> None:
         if _settings.settings().json:
             _printing.emit({"ok": False, "problems": error.lines}, [])
         raise
-    value: dict[str, object] = {"ok": True, "lines": count, "head": newest}
+    older = older_copies(keystore)
+    if older:
+        _printing.note(
+            "older copy: another machine with this ledger made newer ones of"
+            f" {_printing.few(list(map(str, older)))}; `pqsec ca recover` gets the governance and"
+            " the list"
+        )
+    value: dict[str, object] = {"ok": True, "lines": count, "head": newest, "older": older}
     said = [f"the ledger is complete: {count} lines, head {newest}"]
     if anchors:
         sizes = [each.head.size for each in read_anchors(anchors).values()]

@@ -69,6 +69,7 @@ def change(
                 if database and address is None:
                     refuse_moved(database)
                     refuse_replaced(root, database)
+                    _fetch(folder, database)
                 name = f"{DRAFT}{secrets.token_hex(8)}"
                 try:
                     os.mkdir(name, 0o700, dir_fd=folder.handle)
@@ -105,6 +106,25 @@ def _compare_ledger(root: Folder, database: "PostgresLedger | None") -> None:
 
     with root.below(PRIVATE) as private:
         compared(Path(root.path), lambda: Ledger(database or FileStore(private))).close()
+
+
+def _fetch(root: Folder, database: "PostgresLedger") -> None:
+    """Get the governance and the list that other machines wrote, before a change uses them."""
+    from pqsec_pki.keystore._fetched_files import newer_elsewhere, stage  # noqa: PLC0415 -- rare
+
+    name = f"{DRAFT}{secrets.token_hex(8)}"
+    if not newer_elsewhere(Transaction(root, root, database=database)):
+        return
+    try:
+        os.mkdir(name, 0o700, dir_fd=root.handle)
+        with root.below(name) as made:
+            transaction = Transaction(root, made, database=database)
+            stage(transaction, newer_elsewhere(transaction))
+            _commit(transaction, name)
+    except BaseException:
+        shutil.rmtree(name, ignore_errors=True, dir_fd=root.handle)
+        raise
+    _moves.finish(root)
 
 
 def recover(root: Path) -> bool:

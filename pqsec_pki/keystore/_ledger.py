@@ -164,6 +164,12 @@ class Ledger:
         """The entries of that kind and name, oldest first."""
         return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
 
+    def placed(self, kind: str) -> dict[str, Entry]:
+        """The newest entry of that kind for each folder into which one was signed by hand."""
+        place = _DETAIL.format("place")
+        found = self._find(f"kind = ? AND {place} IS NOT NULL ORDER BY number", kind)
+        return {str(each.details["place"]): each for each in found}
+
     def count(self, kind: str, name: str) -> int:
         """The number of lines of that kind and name."""
         return self._number("SELECT count(*) FROM ledger WHERE kind = ? AND name = ?", kind, name)

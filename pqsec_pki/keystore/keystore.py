@@ -141,10 +141,13 @@ class Keystore:
     def recover(root: Path) -> bool:
         """Finish an interrupted change of the keystore at `root`; True if there was one.
 
+        Then get the governance and the list that other machines with its ledger wrote.
         KeystoreError if there is no keystore, or another user owns it or may write there.
         """
         finished = _journal.recover(root)
-        Keystore.open(root, to_change=True)
+        if Keystore.open(root, to_change=True).ledger_address:
+            with _journal.change(root):
+                pass  # each change begins with these files
         return finished
 
     @staticmethod
@@ -400,6 +403,18 @@ class Keystore:
     def ledger_address(self) -> LedgerAddress | None:
         """The address of the ledger, if it is not in a file of this keystore."""
         return _settings.read_ledger(self.root / layout.SETTINGS)
+
+    def kept(self, wanted: Collection[str]) -> dict[str, bytes]:
+        """The files with these SHA-256 that the ledger's database keeps; none without a database.
+
+        KeystoreError if it does not answer, or its role may not read them.
+        """
+        with (
+            disk_errors(self.root),
+            Folder.opened(self.root) as root,
+            _shared.reading(self.root, root) as database,
+        ):
+            return database.kept(wanted) if database else {}
 
     def open_ledger(self) -> Ledger:
         """The ledger, for this package's modules.

@@ -25,6 +25,7 @@ from pqsec_pki.keystore import (
     document_entry,
     faults_of_ledger,
     layout,
+    placed_entry,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
@@ -104,14 +105,16 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
 ) -> bytes:
     """Sign `document` into the file `goal`, anywhere, and enter it in the ledger.
 
-    If `goal` is a document of the keystore, its XML file is replaced in the same change.
+    If `goal` is a document of the keystore, its line says so, and its XML file is replaced in the
+    same change.
     ExistsError if `goal` exists, unless `force`; then nothing is entered.
     """
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
-        transaction.record(document_entry(kind.value, str(goal), signed, now))
         place = layout.document_folder(keystore.root, kind.value, goal)
+        entry = document_entry(kind.value, str(goal), signed, now)
+        transaction.record(entry if place is None else placed_entry(entry, place))
         if place is None:
             write(goal, signed, force=force)
         else:

@@ -28,6 +28,7 @@ from pqsec_pki.est import (
 from pqsec_pki.keystore import (
     Authorities,
     BundleNumbers,
+    CurrentFiles,
     Keystore,
     Ledger,
     SeenLedger,
@@ -39,6 +40,7 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle import fetch_files, issue
 from pqsec_pki.server.admission import Admission
 from pqsec_pki.server.answers import (
+    content,
     decided,
     failed,
     file_in,
@@ -53,7 +55,7 @@ from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.identifying import without_certificate
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.receipt_taking import take_receipts
-from pqsec_pki.server.requester import Admitted, Requester
+from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.token_lines import request_of
 from pqsec_pki.server.waiting import WaitingRequests
 from pqsec_pki.transparency import MerkleTree
@@ -253,7 +255,8 @@ class CallHandler:
         return SignerAnswer(status=200, body=b"ready\n", media_type=TEXT)
 
     def _ca_certificates(self) -> SignerAnswer:
-        body = to_base64(certs_only(self.keystore.anchors.identity_cas))
+        with CurrentFiles.of(self.keystore) as current:
+            body = to_base64(certs_only(current.anchors.identity_cas))
         return SignerAnswer(status=200, body=body, media_type=PKCS7)
 
     def _request_attributes(self) -> SignerAnswer:
@@ -293,7 +296,11 @@ class CallHandler:
 
     def _revocation_list(self) -> SignerAnswer:
         self._fetch_shared()
-        return file_in(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
+        with CurrentFiles.of(self.keystore) as current:
+            found = current.shared.get(layout.LIST)
+        if found is None:
+            raise NotAdmittedError(404, "there is no revocation list")
+        return content(found, PKIX_CRL)
 
     def _head(self) -> SignerAnswer:
         path = self.keystore.root / layout.PUBLIC / layout.TREE_HEAD
