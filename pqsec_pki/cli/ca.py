@@ -257,7 +257,8 @@ def recover() -> None:
     """Finish a change of the keystore that was interrupted.
 
     Every command that changes the keystore does this first. Commands that only read the
-    keystore refuse to run until it is done.
+    keystore refuse to run until it is done. With a ledger that machines share, it also gets the
+    governance and the revocation list that another one made.
     """
     path = _settings.keystore_path()
     finished = Keystore.recover(path)

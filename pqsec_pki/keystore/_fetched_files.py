@@ -16,6 +16,12 @@ from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.smime import verify
 
+WAYS_OUT = {
+    "crl": "restore it from a backup, or issue the next one: `pqsec ca crl`",
+    "governance": "restore it from a backup, or sign the one that is to apply: `pqsec apply`, or"
+    " `pqsec sign-governance` with its file",
+}
+"""By the kind of a file's line."""
 XML = {layout.PERMISSIONS: layout.PERMISSIONS_XML, layout.GOVERNANCE: layout.GOVERNANCE_XML}
 """The file beside a signed document, with the document alone."""
 
@@ -46,6 +52,25 @@ def stage(transaction: Transaction, files: dict[LedgerFile, bytes]) -> None:
             staged.public(XML[each.file], signed_document(root, each.folder, data))
 
 
+def refuse_older_files(transaction: Transaction) -> None:
+    """KeystoreError for an older governance or list, to which new enclaves would link.
+
+    Not if the change puts another one in its place, or signs nothing for participants.
+    """
+    if not any(each.kind in {"participant", "permissions"} for each in transaction.entries):
+        return
+    with transaction.opened_ledger() as ledger:
+        older = shared_elsewhere(Path(transaction.root.path), ledger)
+        for each in older:
+            path = Path(transaction.root.path) / each.folder / each.file
+            if exists(path) and not transaction.stages(each.folder, each.file):
+                line = ledger.line_of((each.kind,), each.sha256)
+                raise KeystoreError(
+                    f"{path} is an older one: line {line} of the ledger has the newest",
+                    hint=WAYS_OUT[each.kind],
+                )
+
+
 def signed_document(root: Path, folder: str, signed: bytes) -> bytes:
     """The document in a signed file of another machine; KeystoreError if the CA did not sign it."""
     public = root / layout.PUBLIC
@@ -53,9 +78,10 @@ def signed_document(root: Path, folder: str, signed: bytes) -> bytes:
     counter = load_first_certificate(second) if exists(second) else None
     ca = load_first_certificate(public / layout.PERMISSIONS_CA)
     try:
-        return verify(signed, ca, alternative_ca=counter, pinned=bool(counter)).document
+        found = verify(signed, ca, alternative_ca=counter, pinned=bool(counter)).document
     except PqsecError as error:
         raise _refused(folder, error) from None
+    return found.replace(b"\r\n", b"\n")  # S/MIME has other ends of lines than our files
 
 
 def _refuse_foreign_list(root: Path, data: bytes) -> None:

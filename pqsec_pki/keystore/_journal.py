@@ -208,6 +208,10 @@ def _rename(root: Folder, old: str, new: str) -> None:
 
 
 def _commit(transaction: Transaction, name: str) -> None:
+    if transaction.entries and not transaction.begins_ledger:
+        from pqsec_pki.keystore._fetched_files import refuse_older_files  # noqa: PLC0415 -- cycle
+
+        refuse_older_files(transaction)
     transaction.sign_head()
     transaction.refuse_folders()
     transaction.add_to_database()

@@ -19,6 +19,7 @@ from pqsec_pki.credentials import TrustAnchors, certificates_in, only_list
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._fetched_files import WAYS_OUT
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._replaced_cas import expected_cas
 from pqsec_pki.keystore._shared_files import (
@@ -42,11 +43,6 @@ _PLACES = {
 """Where the files are that enclaves link to."""
 _NAMES = {"participant": "certificate", "crl": "revocation list"}
 """What a file is, if its line has another word."""
-_WAYS_OUT = {
-    "crl": "restore it from a backup, or issue the next one: `pqsec ca crl`",
-    "governance": "restore it from a backup; or sign what it should say: `pqsec apply`, or `pqsec"
-    " sign-governance enclaves/governance.xml --force` after you have read that file",
-}
 _COPY = "copy it from the machine that made it: docs/how-to/postgresql.md"
 
 
@@ -111,6 +107,14 @@ class CurrentFiles:
             path = self.keystore.root / _PLACES[file]
             self._refuse_other(path, read(path) if exists(path) else None, data)
 
+    def newer_elsewhere(self) -> dict[Path, bytes]:
+        """The content that files of all participants should have, by their paths, if they have
+        another; errors as of `shared`."""
+        places = {self.keystore.root / _PLACES[file]: data for file, data in self.shared.items()}
+        return {
+            path: data for path, data in places.items() if not exists(path) or read(path) != data
+        }
+
     def _refuse_other(self, path: Path, here: bytes | None, current: bytes) -> None:
         if here == current:
             return
@@ -143,7 +147,7 @@ class CurrentFiles:
         elif exists(path := self.keystore.root / _LIST):
             raise KeystoreError(
                 f"{path} is there, but by the ledger its CA has no list now",
-                hint=f"remove it, or issue a list: {_WAYS_OUT['crl'].rpartition(': ')[2]}",
+                hint="remove it, or issue a list: `pqsec ca crl`",
             )
 
     def _cas(self) -> Iterator[tuple[str, bytes]]:
@@ -220,19 +224,19 @@ class CurrentFiles:
         else:
             sha256 = digest_of(wanted.file, here) or ""
             older = self.ledger.line_of((wanted.kind,), sha256)
-            is_of = f"it is of line {older}, and line" if older else "it is in no line, and line"
-            words = f"{path} is not the newest {what}: {is_of} {line} has another one"
+            is_of = f"it is of line {older}" if older else "it is of no line"
+            words = f"{path} is not the newest {what} that the ledger has: {is_of}, not of {line}"
         return KeystoreError(words, hint=self._way_out(wanted))
 
     def _way_out(self, wanted: LedgerFile) -> str:
-        if wanted.name:
-            again = f"issue it here, with all its rights: `pqsec issue {wanted.name} --force ...`"
-            if self.keystore.ledger_address:
-                return f"work on the machine that has it; or {again}"
-            return f"restore that file from a backup; or {again}"
-        if self.keystore.ledger_address:
-            return f"{_COPY}; or {_WAYS_OUT[wanted.kind].rpartition('; or ')[2]}"
-        return _WAYS_OUT[wanted.kind]
+        name, elsewhere = wanted.name, self.keystore.ledger_address is not None
+        if name and elsewhere:
+            return (
+                f"work there; or issue it here: `pqsec issue {name} --force`, with all its rights"
+            )
+        if name:
+            return f"restore that file, or issue it again: pqsec issue {name} --force ..."
+        return f"{_COPY}. Or {WAYS_OUT[wanted.kind]}" if elsewhere else WAYS_OUT[wanted.kind]
 
 
 def _few(fingerprints: list[str]) -> str:

@@ -35,7 +35,7 @@ MAX_TREE = 16 << 10
 """Bytes; 63 hashes take 5 kB."""
 _WAY_OUT = (
     "restore the ledger that has these lines: they may be revocations, or the rule of approvals;"
-    " `pqsec log --verify` says more, and docs/how-to/backup.md what to do without that ledger"
+    " `pqsec log --verify` says more, and docs/how-to/anchors.md how to go on without that ledger"
 )
 
 
@@ -104,17 +104,17 @@ def compared(root: Path, open_ledger: Callable[[], Ledger]) -> Ledger:
             ledger, wrong = _compared(root, open_ledger)
     if wrong:
         ledger.close()
-        raise KeystoreError(f"{root}: {wrong}", hint=_WAY_OUT)
+        raise wrong
     return ledger
 
 
-def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, str]:
-    """The ledger, and how it contradicts the newest head; empty if it does not."""
+def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, KeystoreError | None]:
+    """The ledger, and the error if it contradicts the newest head."""
     path = root / layout.PUBLIC / layout.TREE_HEAD
     head = read(path) if exists(path) else b""  # first: other machines add lines meanwhile
     ledger = open_ledger()
     try:
-        wrong = "" if not head or ledger.fits(head) else _difference(root, ledger, head)
+        wrong = None if not head or ledger.fits(head) else _difference(root, ledger, head)
     except BaseException:
         ledger.close()
         raise
@@ -123,25 +123,32 @@ def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, st
     return ledger, wrong
 
 
-def _difference(root: Path, ledger: Ledger, data: bytes) -> str:
-    """How the ledger contradicts the signed head in `data`; empty if it does not."""
+def _difference(root: Path, ledger: Ledger, data: bytes) -> KeystoreError | None:
+    """The error if the ledger contradicts the signed head in `data`."""
     try:
         head = _verified_in(root, data).head
     except (MalformedError, VerificationError) as error:
-        return f"the ledger cannot be compared with its signed head: {error}"
+        ca = f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}"
+        return KeystoreError(
+            f"the ledger cannot be compared with its signed head: {error}; the CA is that in {ca}",
+            hint="one of the two files was replaced: restore public/ from a backup. If only the"
+            " head is lost, remove it: `pqsec log --sign` signs another",
+        )
     if ledger.origin != head.origin:
-        return f"the CAs signed the head of another ledger: {head.origin}, not {ledger.origin}"
-    if ledger.size < head.size:
-        return (
+        words = f"the CAs signed the head of another ledger: {head.origin}, not {ledger.origin}"
+    elif ledger.size < head.size:
+        words = (
             f"the ledger lacks lines: it has {ledger.size}, and the CAs signed a head of"
             f" {head.size}: it was rolled back"
         )
-    if not _has_lines(root, ledger, head):
-        return (
+    elif not _has_lines(root, ledger, head):
+        words = (
             f"the ledger lacks one of the {head.size} lines of which the CAs signed a head: it was"
             " rolled back, or is another one"
         )
-    return ""
+    else:
+        return None
+    return KeystoreError(f"{root}: {words}", hint=_WAY_OUT)
 
 
 def _has_lines(root: Path, ledger: Ledger, head: TreeHead) -> bool:
