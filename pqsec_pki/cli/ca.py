@@ -8,7 +8,7 @@ import click
 
 from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.passphrase import passphrase
@@ -16,7 +16,14 @@ from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Keystore, LedgerAddress, SigningCa, key_algorithms, overview_of
+from pqsec_pki.keystore import (
+    CurrentFiles,
+    Keystore,
+    LedgerAddress,
+    SigningCa,
+    key_algorithms,
+    overview_of,
+)
 from pqsec_pki.lifecycle import renew_list
 
 
@@ -218,7 +225,7 @@ def crl(
     keystore = _settings.open_keystore(to_change=not show)
     if out and not force:
         refuse_existing(out)
-    found = keystore.revocation_list if show else None
+    found = _current_list(keystore) if show else None
     if show and found is None:
         raise KeystoreError(
             "there is no revocation list",
@@ -250,12 +257,18 @@ def recover() -> None:
     """Finish a change of the keystore that was interrupted.
 
     Every command that changes the keystore does this first. Commands that only read the
-    keystore refuse to run until it is done.
+    keystore refuse to run until it is done. With a ledger that machines share, it also gets the
+    governance and the revocation list that another one made.
     """
     path = _settings.keystore_path()
     finished = Keystore.recover(path)
     line = "the interrupted change is finished" if finished else "no change was interrupted"
     _printing.emit({"keystore": path, "finished": finished}, [f"{path}: {line}"])
+
+
+def _current_list(keystore: Keystore) -> RevocationList | None:
+    with CurrentFiles.of(keystore) as current:
+        return current.revocation_list
 
 
 def _show_pins(keystore: Keystore) -> None:

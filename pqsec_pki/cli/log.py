@@ -19,6 +19,7 @@ from pqsec_pki.keystore import (
     SigningCa,
     audit,
     nearest,
+    older_copies,
     read_anchors,
     regular_name,
     write_anchor,
@@ -162,7 +163,7 @@ def _lines(keystore: Keystore, names: Iterable[str], since: datetime | None) -> 
 
     KeystoreError for a name or pattern that is in no line.
     """
-    lines = keystore.lines()
+    lines = keystore.as_found.lines()
     if names:
         known = dict.fromkeys(each.entry.name for each in lines if each.entry.name.startswith("/"))
         wanted = set(map(regular_name, keystore.named(names, sorted(known))))
@@ -201,7 +202,14 @@ def _verify(keystore: Keystore, head: str | None, anchors: Path | None) -> None:
         if _settings.settings().json:
             _printing.emit({"ok": False, "problems": error.lines}, [])
         raise
-    value: dict[str, object] = {"ok": True, "lines": count, "head": newest}
+    older = older_copies(keystore)
+    if older:
+        _printing.note(
+            "older copy: another machine with this ledger made newer ones of"
+            f" {_printing.few(list(map(str, older)))}; `pqsec ca recover` gets the governance and"
+            " the list"
+        )
+    value: dict[str, object] = {"ok": True, "lines": count, "head": newest, "older": older}
     said = [f"the ledger is complete: {count} lines, head {newest}"]
     if anchors:
         sizes = [each.head.size for each in read_anchors(anchors).values()]

@@ -104,7 +104,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     --outdated` writes what robots lack.
     """
     _formats.chosen(form)
-    keystore = _settings.open_keystore()
+    keystore = _settings.open_keystore().as_found  # `faults_of_ledger` says what is wrong
     chosen = named(keystore, names)
     is_filtered = bool(names or states or domain is not None or expires_before)
     if prometheus and is_filtered:

@@ -34,7 +34,6 @@ from pqsec_pki.keystore import (
     BundleNumbers,
     Keystore,
     bundle_number,
-    enclave_files,
     regular_name,
 )
 from pqsec_pki.problems import Code
@@ -71,15 +70,15 @@ class Bundle:
         To make many bundles, open the ledger once, and give its `numbers`.
         The files are verified at `now`, as the robot will do, and written again from the
         verified values. VerificationError lists everything that is wrong. KeystoreError if a
-        participant does not exist or lacks a file, UsageError without names.
+        participant does not exist or lacks a file, or a file is not the newest by the ledger
+        (`CurrentFiles`); UsageError without names.
         """
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
             raise UsageError("a bundle needs at least one participant")
-        linked = numbers.linked if numbers else {}
-        found = {name: enclave_files(keystore.root, name, linked) for name in regular}
-        enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
         with nullcontext(numbers) if numbers else BundleNumbers.of(keystore) as those:
+            found = {name: those.files(name) for name in regular}
+            enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
             known = [number for files in found.values() if (number := those.number(files))]
             proof = those.proofs.proof(enclaves.values()) if those.proofs else None
         return cls(now.replace(microsecond=0), enclaves, max(known, default=None), proof)

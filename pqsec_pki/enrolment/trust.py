@@ -9,7 +9,7 @@ import hashlib
 import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import field, replace
+from dataclasses import field
 from datetime import UTC, datetime
 from typing import Any, Self, TypeAlias
 
@@ -27,7 +27,7 @@ from pqsec_pki.credentials import (
     TrustAnchors,
 )
 from pqsec_pki.errors import KeystoreError, UsageError, other_format, shown
-from pqsec_pki.keystore import Keystore, Overlap
+from pqsec_pki.keystore import CurrentFiles, Keystore
 from pqsec_pki.problems import Code, Problem
 
 FORMAT = 1
@@ -68,10 +68,10 @@ def pins_of(texts: Iterable[str]) -> Pins:
 def pins_in_use(keystore: Keystore) -> Pins:
     """The CAs that the robots of `keystore` trust; in an overlap, both identity CAs.
 
-    Errors as of `Overlap.of`.
+    Errors as of `CurrentFiles.shared`: who pins others would trust them.
     """
-    cas, overlap = keystore.issuing_cas, Overlap.of(keystore)
-    return pins_in(replace(cas, identity_cas=(overlap.issuing, overlap.other)) if overlap else cas)
+    with CurrentFiles.of(keystore) as current:
+        return pins_in(current.anchors)
 
 
 def pin_texts(pins: Pins) -> list[str]:

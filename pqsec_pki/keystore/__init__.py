@@ -28,8 +28,9 @@ The ledger:
     _shared       which of the two a keystore has; the connection of the change that is made
     _moved_ledger     lines that go from one of the two to the other
     _shared_files     what machines with one ledger get of each other: files that lines are about
+    _fetched_files    those for all participants, with which each change begins
     shared_requests   requests that wait at any server with that ledger
-    _replaced_cas     whether another machine replaced the CAs
+    _replaced_cas     the CAs by the ledger, and whether another machine replaced them
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
     _entries      the lines for what is issued and signed
@@ -49,6 +50,7 @@ Questions:
     compromised          finds keys that were revoked as compromised
     anchoring            signed heads that are kept in another place
     auditing             whether the ledger is intact
+    current_files        the files that leave it: those of the ledger's newest lines
     bundle_numbers       the number of a bundle, by the ledger's lines about its files
     receipt              what a robot says that it runs, and its line in the ledger
     robots               what each robot runs and should run, by the newest receipts
@@ -62,7 +64,13 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore import layout
     from pqsec_pki.keystore._address import LedgerAddress
     from pqsec_pki.keystore._chain import Entry, Line
-    from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
+    from pqsec_pki.keystore._entries import (
+        certificate_entry,
+        document_entry,
+        list_entry,
+        placed_entry,
+    )
+    from pqsec_pki.keystore._fetched_files import signed_document
     from pqsec_pki.keystore._journal import change, resume
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
@@ -86,11 +94,12 @@ if TYPE_CHECKING:
         policy_entry,
         policy_of,
     )
-    from pqsec_pki.keystore.auditing import audit
+    from pqsec_pki.keystore.auditing import audit, older_copies
     from pqsec_pki.keystore.authorities import Authorities, check_pair
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.current_files import CurrentFiles
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.heads import SeenLedger
     from pqsec_pki.keystore.keystore import Keystore
@@ -163,6 +172,7 @@ __all__ = [
     "Anchored",
     "Authorities",
     "BundleNumbers",
+    "CurrentFiles",
     "Entry",
     "Files",
     "InstallState",
@@ -222,10 +232,12 @@ __all__ = [
     "matching",
     "moved_entry",
     "nearest",
+    "older_copies",
     "order_entry",
     "order_in",
     "overview_of",
     "participant_states",
+    "placed_entry",
     "policy_entry",
     "policy_of",
     "predates_approvals",
@@ -239,6 +251,7 @@ __all__ = [
     "robot_states",
     "schema_sql",
     "settings_file",
+    "signed_document",
     "signed_governance",
     "signed_grants",
     "status",

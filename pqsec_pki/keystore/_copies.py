@@ -47,6 +47,8 @@ class LedgerCopy:
     was held."""
     hold: int = 0
     """The hold of the keystore's lock in which it was used last; 0 for none."""
+    fits: bytes = b""
+    """The signed head whose lines it has: lines are only added, so it still has them."""
 
     @classmethod
     def new(cls, key: CopyKey | None) -> "LedgerCopy":

@@ -2,11 +2,15 @@
 
 import hashlib
 import os
+from dataclasses import replace
 from datetime import datetime
 
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore.compromised import keys_detail
+
+PLACE = "place"
+"""The detail with the folder in the keystore, of a document that was signed into it by hand."""
 
 
 def certificate_entry(  # noqa: PLR0913 -- the fields of the line, the rarer ones by name
@@ -35,6 +39,14 @@ def document_entry(kind: str, name: str, signed: bytes, now: datetime) -> Entry:
     """The ledger entry for a signed document; `name` may be a path of any bytes."""
     text = os.fsencode(name).decode(errors="backslashreplace")
     return Entry.of(kind, text, hashlib.sha256(signed).hexdigest(), now)
+
+
+def placed_entry(entry: Entry, place: str) -> Entry:
+    """The entry of a document that was signed into the folder `place` of the keystore.
+
+    Its name is the path that the user gave.
+    """
+    return replace(entry, details={**entry.details, PLACE: place})
 
 
 def list_entry(made: RevocationList, pem: bytes, issuer: Certificate, now: datetime) -> Entry:

@@ -32,13 +32,15 @@ from pqsec_pki._files import disk_errors, sync_filesystem
 from pqsec_pki.errors import FileError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
 from pqsec_pki.keystore._address import LedgerAddress
+from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
-from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN, SETTINGS
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -67,9 +69,12 @@ def change(
             with _shared.writing(root, address) as database:
                 if authorities:
                     authorities.refuse_outdated(root)
+                if address is None:
+                    _compare_ledger(folder, database)
                 if database and address is None:
                     refuse_moved(database)
                     refuse_replaced(root, database)
+                    _fetch(folder, database)
                 name = f"{DRAFT}{secrets.token_hex(8)}"
                 try:
                     os.mkdir(name, 0o700, dir_fd=folder.handle)
@@ -96,6 +101,35 @@ def hold(root: Path, *, keep_connection: bool = False) -> Iterator[None]:
         _settle(folder)
         with _shared.writing(root, hold=True, keep=keep_connection):
             yield
+
+
+def _compare_ledger(root: Folder, database: "PostgresLedger | None") -> None:
+    """KeystoreError if the ledger, which the change extends, is not the one of the signed head."""
+    if root.kind(SETTINGS) is None:  # a keystore that is created or adopted
+        return
+    from pqsec_pki.keystore.heads import compared  # noqa: PLC0415 -- it imports authorities
+
+    with root.below(PRIVATE) as private:
+        compared(Path(root.path), lambda: Ledger(database or FileStore(private))).close()
+
+
+def _fetch(root: Folder, database: "PostgresLedger") -> None:
+    """Get the governance and the list that other machines wrote, before a change uses them."""
+    from pqsec_pki.keystore._fetched_files import newer_elsewhere, stage  # noqa: PLC0415 -- rare
+
+    name = f"{DRAFT}{secrets.token_hex(8)}"
+    if not newer_elsewhere(Transaction(root, root, database=database)):
+        return
+    try:
+        os.mkdir(name, 0o700, dir_fd=root.handle)
+        with root.below(name) as made:
+            transaction = Transaction(root, made, database=database)
+            stage(transaction, newer_elsewhere(transaction))
+            _commit(transaction, name)
+    except BaseException:
+        shutil.rmtree(name, ignore_errors=True, dir_fd=root.handle)
+        raise
+    _moves.finish(root)
 
 
 def recover(root: Path) -> bool:
@@ -214,6 +248,10 @@ def _rename(root: Folder, old: str, new: str) -> None:
 
 def _commit(transaction: Transaction, name: str) -> None:
     transaction.refuse_full_ledger()
+    if transaction.entries and not transaction.begins_ledger:
+        from pqsec_pki.keystore._fetched_files import refuse_older_files  # noqa: PLC0415 -- cycle
+
+        refuse_older_files(transaction)
     transaction.sign_head()
     transaction.refuse_folders()
     transaction.add_to_database()

@@ -118,6 +118,14 @@ class Ledger:
         """Record that the store now has the result of `to_file`."""
         self._copy.key = store.key
 
+    def fits(self, head: bytes) -> bool:
+        """Whether `is_found_to_fit` was called with that signed head, for a copy of this ledger."""
+        return self._copy.fits == head
+
+    def is_found_to_fit(self, head: bytes) -> None:
+        """Record that it has the lines of which that head was signed."""
+        self._copy.fits = head
+
     @property
     def head(self) -> str:
         """The chain value of the last line."""
@@ -162,6 +170,12 @@ class Ledger:
     def of_name(self, kind: str, name: str) -> list[Entry]:
         """The entries of that kind and name, oldest first."""
         return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
+
+    def placed(self, kind: str) -> dict[str, Entry]:
+        """The newest entry of that kind for each folder into which one was signed by hand."""
+        place = _DETAIL.format("place")
+        found = self._find(f"kind = ? AND {place} IS NOT NULL ORDER BY number", kind)
+        return {str(each.details["place"]): each for each in found}
 
     def count(self, kind: str, name: str) -> int:
         """The number of lines of that kind and name."""

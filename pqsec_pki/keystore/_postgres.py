@@ -1,11 +1,12 @@
 """A ledger in PostgreSQL, for keystores on several machines. The only user of psycopg.
 
-One advisory lock of the database is held by who adds lines, from before the first question until
-the commit, so lines are numbered and chained as with one machine.
+One row of the database is locked by who adds lines, from before the first question until the
+commit, so lines are numbered and chained as with one machine. A lock of a row ends with its
+transaction: who makes several changes holds it with a second connection.
 """
 
-import hashlib
 import os
+import socket
 import sqlite3
 import time
 from collections.abc import Collection, Iterable, Iterator
@@ -21,10 +22,17 @@ from pqsec_pki.keystore import _ledger_file, _postgres_schema, _table
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._copies import CopyKey
 
-_LOCK = int.from_bytes(hashlib.sha256(b"pqsec ledger").digest()[:8], "big", signed=True)
-"""The number of the advisory lock."""
+_LOCK = "SELECT FROM pqsec.writing FOR UPDATE"
+_HOLDERS = (
+    "SELECT DISTINCT usename, application_name FROM pg_locks JOIN pg_stat_activity USING (pid)"
+    " WHERE relation = 'pqsec.writing'::regclass AND mode = 'RowShareLock' AND granted"
+    " AND pid != pg_backend_pid() AND NOT EXISTS (SELECT FROM pg_locks AS waiting"
+    " WHERE waiting.pid = pg_locks.pid AND NOT waiting.granted)"
+)
+"""Who has the lock: a reader of pg_locks sees it, and waits for nothing."""
+_LONGEST_NAME = 63
+"""Octets of a connection's name that PostgreSQL keeps."""
 _CONNECTION = {
-    "application_name": "pqsec",
     "client_encoding": "utf8",
     "target_session_attrs": "read-write",  # a standby may lack the newest revocation
     "keepalives_idle": "30",
@@ -78,18 +86,15 @@ class PostgresLedger:
         """KeystoreError if it does not answer, or has no ledger of this version."""
         self.address = address
         self._made = time.monotonic()
-        self._holds = self._in_change = False
+        self._in_change = False
+        self._holder: psycopg.Connection[Any] | None = None
+        """The connection that holds the lock for several changes; it stays open between holds."""
+        self._holds = False
         self._newest: tuple[int, str] | None = None
         """The last line, while other writers are excluded and none was added."""
-        with self._errors(), _service_verified(address):
-            self._connection = psycopg.connect(
-                make_conninfo(address.url, **_defaults(address)),
-                autocommit=True,
-                prepare_threshold=None,
-            )
+        self._connection = self._connected()
         try:
             with self._errors():
-                self._connection.execute(_SESSION_SQL)
                 self._refuse_format()
         except BaseException:
             self.close()
@@ -101,16 +106,35 @@ class PostgresLedger:
     def __exit__(self, *_: object) -> None:
         self.close()
 
+    def _connected(self) -> psycopg.Connection[Any]:
+        with self._errors(), _service_verified(self.address):
+            made = psycopg.connect(
+                make_conninfo(self.address.url, **_defaults(self.address)),
+                autocommit=True,
+                prepare_threshold=None,
+            )
+        try:
+            with self._errors():
+                made.execute(_SESSION_SQL)
+        except BaseException:
+            made.close()
+            raise
+        return made
+
     def close(self) -> None:
         """Give back the locks; what was not committed is dropped."""
-        with suppress(psycopg.Error):
-            self._connection.close()
+        for each in (self._holder, self._connection):
+            if each:
+                with suppress(psycopg.Error):
+                    each.close()
 
     def serves(self, address: LedgerAddress) -> bool:
         """Whether it is a connection to `address`, which may still write to the same format."""
         if self.address != address or time.monotonic() - self._made > _LONGEST:
             return False
         try:
+            if self._holder:
+                self._holder.execute("SELECT 1")
             found = self._connection.execute(_STATE).fetchone()
         except psycopg.Error:
             return False
@@ -156,13 +180,16 @@ class PostgresLedger:
     def hold(self) -> Iterator[None]:
         """Exclude other writers, for any number of changes. After an error the caller closes the
         connection."""
+        if self._holder is None or self._holder.closed:
+            self._holder = self._connected()
         with self._errors():
-            self._connection.execute("SELECT pg_advisory_lock(%s)", (_LOCK,))
+            self._holder.execute("BEGIN")
+            self._holder.execute(_LOCK)
         self._holds = True
         yield
         self._holds, self._newest = False, None
         with suppress(psycopg.Error):
-            self._connection.execute("SELECT pg_advisory_unlock(%s)", (_LOCK,))
+            self._holder.execute("ROLLBACK")
             return
         self.close()  # which gives the lock back, too
 
@@ -172,7 +199,7 @@ class PostgresLedger:
         with self._errors():
             self._connection.execute("BEGIN")
             if not self._holds:
-                self._connection.execute("SELECT pg_advisory_xact_lock(%s)", (_LOCK,))
+                self._connection.execute(_LOCK)
         self._in_change = True
         try:
             yield
@@ -228,6 +255,8 @@ class PostgresLedger:
     def commit(self) -> None:
         """End the change. After a KeystoreError only `has` shows whether it was committed."""
         with self._errors():
+            if self._holds and self._holder:
+                self._holder.execute("SELECT 1")  # who lost the lock adds no line
             if self._connection.execute("COMMIT").statusmessage != "COMMIT":
                 raise KeystoreError(f"{self.place}: the change was refused", hint=_NOTHING)
 
@@ -256,6 +285,14 @@ class PostgresLedger:
         if found < _postgres_schema.FORMAT:
             raise _without_tables(f"{self.place}: made by an older pqsec (format {found})")
 
+    def _who(self) -> str:
+        """Who has the lock, in words; empty if it is free by now."""
+        found: list[tuple[str, str]] = []
+        with suppress(psycopg.Error), self._connected() as asking:
+            found = asking.execute(_HOLDERS).fetchall()
+        words = [f"{shown(name)} by role {shown(role)}" for role, name in found]
+        return f": {', '.join(words)}" if words else ""
+
     @contextmanager
     def _errors(self) -> Iterator[None]:
         """Turn errors of the database and of the connection into KeystoreError."""
@@ -263,8 +300,9 @@ class PostgresLedger:
             yield
         except errors.LockNotAvailable:
             raise KeystoreError(
-                f"{self.place}: another pqsec command is using this ledger",
-                hint="if its machine lost the connection, the lock ends after a minute",
+                f"{self.place}: another pqsec command is using this ledger{self._who()}",
+                hint="run the command again when that has ended; if its machine lost the"
+                " connection, the lock ends after a minute",
             ) from None
         except (errors.UndefinedTable, errors.InvalidSchemaName):
             raise _without_tables(f"{self.place} has no ledger") from None
@@ -279,7 +317,9 @@ class PostgresLedger:
 def _defaults(address: LedgerAddress) -> dict[str, str]:
     """Parameters that the address lacks; pqsec authenticates each server on another machine."""
     given = address.parameters
-    found = {name: value for name, value in _CONNECTION.items() if name not in given}
+    name = f"pqsec on {socket.gethostname()}".encode("ascii", "replace")[:_LONGEST_NAME].decode()
+    defaults = {**_CONNECTION, "application_name": name}
+    found = {name: value for name, value in defaults.items() if name not in given}
     found["connect_timeout"] = given.get("connect_timeout", "10")
     if not address.is_local and not ("sslmode" in given or _has_service(address)):
         found["sslmode"] = os.environ.get(_MODE, _VERIFIED)

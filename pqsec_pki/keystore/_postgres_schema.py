@@ -61,7 +61,13 @@ CREATE TABLE pqsec.waiting (
 );
 """
 """Requests that wait at servers until somebody decides."""
-_FORMATS = (_FORMAT_1, _FORMAT_2, _FORMAT_3)
+_FORMAT_4 = """
+CREATE TABLE pqsec.writing (one boolean PRIMARY KEY CHECK (one));
+INSERT INTO pqsec.writing VALUES (true);
+"""
+"""One row, which who adds lines locks. Only a role that may update it can: so no reader can keep
+writers from adding lines, as with an advisory lock, which every role can take."""
+_FORMATS = (_FORMAT_1, _FORMAT_2, _FORMAT_3, _FORMAT_4)
 """The steps from each format to the next."""
 FORMAT = len(_FORMATS)
 
@@ -93,7 +99,7 @@ def _step(number: int, statements: str) -> str:
 
 def _reads(role: str) -> Iterator[str]:
     yield f"GRANT USAGE ON SCHEMA pqsec TO {_quoted(role)};"
-    yield f"GRANT SELECT ON pqsec.ledger, pqsec.format TO {_quoted(role)};"
+    yield f"GRANT SELECT ON pqsec.ledger, pqsec.format, pqsec.files TO {_quoted(role)};"
 
 
 def _inserts(role: str) -> Iterator[str]:
@@ -102,6 +108,7 @@ def _inserts(role: str) -> Iterator[str]:
     yield f"GRANT INSERT ({columns}) ON pqsec.ledger TO {_quoted(role)};"
     yield f"GRANT SELECT, INSERT (sha256, content) ON pqsec.files TO {_quoted(role)};"
     yield f"GRANT SELECT, INSERT, UPDATE (asked), DELETE ON pqsec.waiting TO {_quoted(role)};"
+    yield f"GRANT SELECT, UPDATE ON pqsec.writing TO {_quoted(role)};"
 
 
 def _quoted(role: str) -> str:

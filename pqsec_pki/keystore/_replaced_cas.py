@@ -1,10 +1,11 @@
-"""Whether the CAs of this machine are those of the ledger, if other machines change it too."""
+"""Which CAs the ledger says are in use, and whether the files of this machine have them."""
 
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pqsec_pki._files import read
+from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import layout
@@ -18,7 +19,7 @@ if TYPE_CHECKING:
 def refuse_replaced(root: Path, store: "LedgerStore") -> None:
     """KeystoreError if another machine replaced a CA, or changed which identity CAs are trusted."""
     with Ledger(store) as ledger:
-        identity = _identity_cas(ledger.of_kind("identity-ca", "trust", "trust-end"))
+        identity = identity_cas(ledger)
         signers = ledger.of_kind("permissions-ca")
     newest = {each.sha256 for each in signers if each.at == signers[-1].at}
     if not (
@@ -30,6 +31,26 @@ def refuse_replaced(root: Path, store: "LedgerStore") -> None:
             hint="copy public/ and private/ from the machine where `pqsec ca rotate` ran:"
             " docs/how-to/postgresql.md",
         )
+
+
+def expected_cas(ledger: Ledger, profile: Profile) -> dict[str, list[str]]:
+    """The SHA-256 of the certificates that each file of CAs has, by the ledger.
+
+    Of two identity CAs the issuing one is first. Empty for a ledger that has no CAs.
+    """
+    count = 2 if profile.alternative_key else 1  # the permissions CA, and its countersigner
+    signers = [each.sha256 for each in ledger.of_kind("permissions-ca")[-count:]]
+    found = {layout.IDENTITY_CA: identity_cas(ledger)}
+    for file, each in zip(
+        (layout.PERMISSIONS_CA, layout.PERMISSIONS_ALT_CA), signers, strict=False
+    ):
+        found[file] = [each]
+    return found if signers else {}
+
+
+def identity_cas(ledger: Ledger) -> list[str]:
+    """The SHA-256 of the trusted identity CAs, the issuing one first."""
+    return _identity_cas(ledger.of_kind("identity-ca", "trust", "trust-end"))
 
 
 def _identity_cas(lines: Iterable[Entry]) -> list[str]:

@@ -10,6 +10,7 @@ import hashlib
 import stat
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from functools import lru_cache, partial
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,6 +20,7 @@ from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._replaced_cas import identity_cas
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore.keystore import Keystore
@@ -38,6 +40,13 @@ class LedgerFile:
     """The kind of the line."""
     name: str = ""
     """The participant's name; empty for shared files."""
+    stays: bool = False
+    """Whether it is used only where its keys are: pqsec made them on one machine."""
+
+    @property
+    def is_document(self) -> bool:
+        """Whether it is a signed document."""
+        return self.file in {layout.GOVERNANCE, layout.PERMISSIONS}
 
     def is_newer(self, root: Path, numbers: Callable[[], Mapping[str, int]]) -> bool:
         """Whether the keystore at `root` lacks it, or has one of an earlier line.
@@ -66,30 +75,81 @@ def files_elsewhere(keystore: "Keystore", ledger: Ledger, names: Iterable[str]) 
     """
     if keystore.ledger_address is None:
         return []
-    newest = [*_of_all(keystore, ledger), *(each for name in names for each in _of(ledger, name))]
-    return [
-        each for each in newest if each.is_newer(keystore.root, partial(ledger.numbers, each.kind))
-    ]
+    own = (each for name in names for each in newest_of(ledger, name) if not each.stays)
+    return _newer(keystore.root, ledger, [*newest_of_all(ledger), *own])
 
 
-def _of_all(keystore: "Keystore", ledger: Ledger) -> Iterator[LedgerFile]:
-    for each in ledger.of_name("governance", "")[-1:]:
-        yield LedgerFile(layout.ENCLAVES, layout.GOVERNANCE, each.sha256, each.kind)
-    authority = keystore.identity_ca.fingerprint
-    for each in [each for each in ledger.of_kind("crl") if each.issuer == authority][-1:]:
-        yield LedgerFile(layout.PUBLIC, layout.CA_LIST, each.sha256, each.kind)
+def shared_elsewhere(root: Path, ledger: Ledger) -> list[LedgerFile]:
+    """The files for all participants that another machine wrote since."""
+    return _newer(root, ledger, newest_of_all(ledger))
 
 
-def _of(ledger: Ledger, name: str) -> Iterator[LedgerFile]:
-    """Its certificate and permissions, if its keys came in a request."""
+def _newer(root: Path, ledger: Ledger, newest: Iterable[LedgerFile]) -> list[LedgerFile]:
+    return [each for each in newest if each.is_newer(root, partial(ledger.numbers, each.kind))]
+
+
+def newest_of_all(ledger: Ledger) -> list[LedgerFile]:
+    """The governance and, if the identity CA has one, its list."""
+    return [each for each in (newest_governance(ledger), newest_list(ledger)) if each]
+
+
+def newest_governance(ledger: Ledger) -> LedgerFile | None:
+    """The governance that all participants share; None if the ledger has none."""
+    named = ledger.of_name("governance", "") or ledger.of_kind("governance")
+    by_hand = ledger.placed("governance").get(layout.ENCLAVES)
+    return _newest_document(ledger, layout.ENCLAVES, layout.GOVERNANCE, [*named[-1:], by_hand])
+
+
+def newest_list(ledger: Ledger) -> LedgerFile | None:
+    """The list of the issuing identity CA; None without one.
+
+    The begin of an overlap ends a list: no stack can use one beside two identity CAs.
+    """
+    issuing, begun = identity_cas(ledger)[:1], max(ledger.numbers("trust").values(), default=0)
+    for each in [each for each in ledger.of_kind("crl") if each.issuer in issuing][-1:]:
+        if ledger.line_of(("crl",), each.sha256) > begun:
+            return LedgerFile(layout.PUBLIC, layout.CA_LIST, each.sha256, each.kind)
+    return None
+
+
+def newest_of(
+    ledger: Ledger, name: str, placed: Mapping[str, Entry] | None = None
+) -> Iterator[LedgerFile]:
+    """A participant's certificate and permissions; nothing for a name without a certificate.
+
+    `placed` are the permissions of all that were signed by hand, if they were asked for before.
+    They stay where the keys are, unless these came in a request.
+    """
     lines = ledger.of_name("participant", name)
+    placed = ledger.placed("permissions") if placed is None else placed
     keys = lines[-1].details.get("keys") if lines else None
-    if not any("request" in each.details for each in lines if each.details.get("keys") == keys):
-        return
-    folder, signed = layout.enclave_folder(name), ledger.of_name("permissions", name)[-1:]
-    yield LedgerFile(folder, layout.CERTIFICATE, lines[-1].sha256, "participant", name)
-    for each in signed:
-        yield LedgerFile(folder, layout.PERMISSIONS, each.sha256, each.kind, name)
+    asked = any("request" in each.details for each in lines if each.details.get("keys") == keys)
+    folder = layout.enclave_folder(name)
+    for each in lines[-1:]:
+        yield LedgerFile(
+            folder, layout.CERTIFICATE, each.sha256, "participant", name, stays=not asked
+        )
+    named, by_hand = ledger.of_name("permissions", name), placed.get(folder)
+    signed = [*named[-1:], by_hand] if lines else []
+    found = _newest_document(ledger, folder, layout.PERMISSIONS, signed, name, stays=not asked)
+    if found:
+        yield found
+
+
+def _newest_document(  # noqa: PLR0913, PLR0917 -- what a file of the ledger has
+    ledger: Ledger,
+    folder: str,
+    file: str,
+    lines: Iterable[Entry | None],
+    name: str = "",
+    stays: bool = False,  # noqa: FBT001, FBT002 -- likewise
+) -> LedgerFile | None:
+    there = [each for each in lines if each]
+    numbered = [(ledger.line_of((each.kind,), each.sha256), each) for each in there]
+    if not numbered:
+        return None
+    _, newest = max(numbered, key=itemgetter(0))
+    return LedgerFile(folder, file, newest.sha256, newest.kind, name, stays)
 
 
 def digest_of(file: str, data: bytes) -> str | None:

@@ -164,7 +164,7 @@ class Transaction:
         from pqsec_pki.keystore.heads import extended  # noqa: PLC0415 -- authorities import this
 
         path = Path(self.root.path)
-        with self._ledger() as ledger:
+        with self.opened_ledger() as ledger:
             signed = extended(path, ledger, self.entries, self.authorities)
         if signed:
             public = self.folder(layout.PUBLIC, private=False)
@@ -182,7 +182,7 @@ class Transaction:
 
         KeystoreError if it has other lines then, TooLargeError if it could not be read.
         """
-        with self._ledger() as ledger:
+        with self.opened_ledger() as ledger:
             ledger.append(self.entries)
             wanted = ledger.stored()
             private = self.folder(layout.PRIVATE, private=True)
@@ -213,8 +213,13 @@ class Transaction:
         contents = self.database.kept({each.sha256 for each in files})
         return {each: data for each in files if (data := each.in_(contents))}
 
+    def stages(self, target: str, name: str) -> bool:
+        """Whether a file of that name is staged for the folder `target`."""
+        numbers = (number for number, each in enumerate(self.targets) if each == target)
+        return any(name in StagedFolder(self.made.handle, f"{each}").names for each in numbers)
+
     @contextmanager
-    def _ledger(self) -> Iterator[Ledger]:
+    def opened_ledger(self) -> Iterator[Ledger]:
         """The ledger as it is; a new one for a keystore that is being created."""
         if self.database:
             with Ledger(self.database) as ledger:

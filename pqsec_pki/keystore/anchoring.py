@@ -114,7 +114,7 @@ def read_anchors(folder: Path) -> dict[Path, HeadExtension]:
 
 def ledger_tree(keystore: Keystore) -> MerkleTree:
     """The tree over the ledger as it is."""
-    with keystore.open_ledger() as ledger:
+    with keystore.as_found.open_ledger() as ledger:
         return MerkleTree(leaf_of(*row) for row in ledger.rows())
 
 
@@ -136,7 +136,7 @@ def head_problems(
             heads[keystore.root / layout.PUBLIC / layout.TREE_HEAD] = newest.head
     except (MalformedError, VerificationError) as error:
         yield str(error)
-    with keystore.open_ledger() as ledger:
+    with keystore.as_found.open_ledger() as ledger:
         origin = ledger.origin
     signers = list(_signers(keystore.root)) if anchors else []
     for path, anchor in anchors.items():

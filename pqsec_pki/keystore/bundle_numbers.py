@@ -16,6 +16,7 @@ from pqsec_pki.errors import MalformedError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._shared_files import pem_fingerprint
+from pqsec_pki.keystore.current_files import CurrentFiles
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import TRUST, TRUST_END
 
@@ -43,27 +44,34 @@ class BundleNumbers:
     there is none."""
     proofs: "LedgerProofs | None" = field(default=None, repr=False)
     """The proofs for bundles; None if there are none, or they were not asked for."""
-    linked: dict[str, bytes] = field(default_factory=dict, repr=False)
-    """The files that their enclaves share, as of `enclave_files`."""
+    current: CurrentFiles | None = field(default=None, repr=False)
+    """The files for bundles; None if they were not asked for."""
 
     @classmethod
     @contextmanager
     def of(cls, keystore: Keystore, tree: "MerkleTree | None" = None) -> Iterator[Self]:
-        """Numbers and proofs for bundles of `keystore`; KeystoreError if its ledger is damaged.
+        """Numbers, files and proofs for bundles; KeystoreError if the ledger is damaged.
 
         `tree` is as in `LedgerProofs.of`.
         """
         from pqsec_pki.keystore.proofs import LedgerProofs  # noqa: PLC0415 -- `status` makes none
 
-        with keystore.open_ledger() as ledger:
+        with CurrentFiles.of(keystore) as current:
+            ledger = current.ledger
             proofs = LedgerProofs.of(keystore.root, ledger, tree)
-            yield cls(cache(partial(ledger.line_of, _KINDS)), _least(ledger), proofs)
+            yield cls(cache(partial(ledger.line_of, _KINDS)), _least(ledger), proofs, current)
 
     @classmethod
     def among(cls, ledger: Ledger) -> Self:
         """The numbers for all robots at once; all are read from the ledger now."""
         lines = {sha256: line for kind in _KINDS for sha256, line in ledger.numbers(kind).items()}
         return cls(lines.get, _least(ledger))
+
+    def files(self, name: str) -> dict[str, bytes]:
+        """The files for that participant's bundle; errors as of `CurrentFiles.enclave`."""
+        if self.current is None:
+            raise ValueError("these numbers are not for bundles")
+        return self.current.enclave(name)
 
     def number(self, files: Mapping[str, bytes]) -> int | None:
         """The number of a bundle with these files of an enclave, by name.

@@ -6,7 +6,7 @@ Beside the head are the roots of the complete subtrees, so that no older line is
 """
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
@@ -15,10 +15,17 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
 from pqsec_pki.algorithms import PublicKey, load_public_key
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, located
+from pqsec_pki.errors import (
+    KeystoreError,
+    MalformedError,
+    PqsecError,
+    VerificationError,
+    located,
+)
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._lock import at_rest
 from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.problems import Code
@@ -26,6 +33,10 @@ from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
 
 MAX_TREE = 16 << 10
 """Bytes; 63 hashes take 5 kB."""
+_WAY_OUT = (
+    "restore the ledger that has these lines: they may be revocations, or the rule of approvals;"
+    " `pqsec log --verify` says more, and docs/how-to/anchors.md how to go on without that ledger"
+)
 
 
 @dataclass(slots=True)
@@ -80,6 +91,86 @@ class SignedTree:
         yield layout.TREE, json.dumps(value, indent=1).encode() + b"\n"
 
 
+def compared(root: Path, open_ledger: Callable[[], Ledger]) -> Ledger:
+    """The ledger of the keystore at `root`, which has what its CAs signed the newest head of.
+
+    KeystoreError if it lacks a line of that head, or the head is not theirs. Without a head
+    nothing is compared. `audit` also finds lines that were rewritten under the same chain values.
+    """
+    ledger, wrong = _compared(root, open_ledger)
+    if wrong:
+        ledger.close()
+        with at_rest(root):  # a change puts the head into its place before its lines
+            ledger, wrong = _compared(root, open_ledger)
+    if wrong:
+        ledger.close()
+        raise wrong
+    return ledger
+
+
+def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, KeystoreError | None]:
+    """The ledger, and the error if it contradicts the newest head."""
+    path = root / layout.PUBLIC / layout.TREE_HEAD
+    head = read(path) if exists(path) else b""  # first: other machines add lines meanwhile
+    ledger = open_ledger()
+    try:
+        wrong = None if not head or ledger.fits(head) else _difference(root, ledger, head)
+    except BaseException:
+        ledger.close()
+        raise
+    if not wrong:
+        ledger.is_found_to_fit(head)
+    return ledger, wrong
+
+
+def _difference(root: Path, ledger: Ledger, data: bytes) -> KeystoreError | None:
+    """The error if the ledger contradicts the signed head in `data`."""
+    try:
+        head = _verified_in(root, data).head
+    except (MalformedError, VerificationError) as error:
+        ca = f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}"
+        return KeystoreError(
+            f"the ledger cannot be compared with its signed head: {error}; the CA is that in {ca}",
+            hint="one of the two files was replaced: restore public/ from a backup. If only the"
+            " head is lost, remove it: `pqsec log --sign` signs another",
+        )
+    if ledger.origin != head.origin:
+        words = f"the CAs signed the head of another ledger: {head.origin}, not {ledger.origin}"
+    elif ledger.size < head.size:
+        words = (
+            f"the ledger lacks lines: it has {ledger.size}, and the CAs signed a head of"
+            f" {head.size}: it was rolled back"
+        )
+    elif not _has_lines(root, ledger, head):
+        words = (
+            f"the ledger lacks one of the {head.size} lines of which the CAs signed a head: it was"
+            " rolled back, or is another one"
+        )
+    else:
+        return None
+    return KeystoreError(f"{root}: {words}", hint=_WAY_OUT)
+
+
+def _has_lines(root: Path, ledger: Ledger, head: TreeHead) -> bool:
+    """Whether the ledger has the last line of which `head` was signed, and so those before.
+
+    The chain value of a line, which is in its leaf, covers all lines before it. Of the tree only
+    the last complete subtree is computed, if the others are stored.
+    """
+    if not head.size:
+        return True
+    stored = _stored(root / layout.PUBLIC / layout.TREE)
+    if not (stored and stored.is_sound and (stored.size, stored.root) == (head.size, head.root)):
+        stored = CompactRange()
+        count, wanted = head.size, head.root
+    else:
+        count, wanted = head.size & -head.size, stored.subtrees[-1]
+    rows = ledger.rows(after=head.size - count)
+    own = takewhile(lambda each: each[0] <= head.size, rows)
+    tree = CompactRange().extended(leaf_of(*row) for row in own)
+    return (tree.size, tree.root) == (count, wanted)
+
+
 def signers_in(folder: Path) -> list[Certificate]:
     """Who signs heads: the permissions CA in the folder and, if there is one, its countersigner."""
     second = [layout.PERMISSIONS_ALT_CA] if exists(folder / layout.PERMISSIONS_ALT_CA) else []
@@ -97,10 +188,13 @@ def read_head(root: Path) -> Checkpoint | None:
     MalformedError if it is not a head, VerificationError unless all its CAs signed it.
     """
     path = root / layout.PUBLIC / layout.TREE_HEAD
-    if not exists(path):
-        return None
-    with located(path):
-        return _verified(read(path), *(each.spki for each in signers_in(root / layout.PUBLIC)))
+    return _verified_in(root, read(path)) if exists(path) else None
+
+
+def _verified_in(root: Path, head: bytes) -> Checkpoint:
+    """The head in `head`, by the CAs of the keystore at `root`; errors as of `read_head`."""
+    with located(root / layout.PUBLIC / layout.TREE_HEAD):
+        return _verified(head, *(each.spki for each in signers_in(root / layout.PUBLIC)))
 
 
 @lru_cache(maxsize=4)

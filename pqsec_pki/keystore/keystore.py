@@ -66,6 +66,9 @@ class Keystore:
     approved: bool = field(default=False, compare=False, repr=False)
     """Whether what is done with this value was approved by the people that the policy wants."""
 
+    is_as_found: bool = field(default=False, compare=False, repr=False)
+    """Whether its ledger is read as it is: nothing may be decided by it."""
+
     @classmethod
     def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
         cls,
@@ -146,10 +149,13 @@ class Keystore:
     def recover(root: Path) -> bool:
         """Finish an interrupted change of the keystore at `root`; True if there was one.
 
+        Then get the governance and the list that other machines with its ledger wrote.
         KeystoreError if there is no keystore, or another user owns it or may write there.
         """
         finished = _journal.recover(root)
-        Keystore.open(root, to_change=True)
+        if Keystore.open(root, to_change=True).ledger_address:
+            with _journal.change(root):
+                pass  # each change begins with these files
         return finished
 
     @staticmethod
@@ -408,8 +414,36 @@ class Keystore:
         """The address of the ledger, if it is not in a file of this keystore."""
         return _settings.read_ledger(self.root / layout.SETTINGS)
 
+    def kept(self, wanted: Collection[str]) -> dict[str, bytes]:
+        """The files with these SHA-256 that the ledger's database keeps; none without a database.
+
+        KeystoreError if it does not answer, or its role may not read them.
+        """
+        with (
+            disk_errors(self.root),
+            Folder.opened(self.root) as root,
+            _shared.reading(self.root, root) as database,
+        ):
+            return database.kept(wanted) if database else {}
+
     def open_ledger(self) -> Ledger:
-        """The ledger, for this package's modules."""
+        """The ledger, for this package's modules.
+
+        KeystoreError if it lacks lines of which the CAs signed the newest head (`heads.compared`):
+        what a ledger from before says is not decided by. `as_found` opens it all the same.
+        """
+        if self.is_as_found:
+            return self._read_ledger()
+        from pqsec_pki.keystore.heads import compared  # noqa: PLC0415 -- it imports authorities
+
+        return compared(self.root, self._read_ledger)
+
+    @property
+    def as_found(self) -> Self:
+        """This keystore, to show what its ledger says although the CAs signed something else."""
+        return replace(self, is_as_found=True)
+
+    def _read_ledger(self) -> Ledger:
         with (
             disk_errors(self.root / layout.PRIVATE),
             Folder.opened(self.root) as root,

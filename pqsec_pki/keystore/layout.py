@@ -139,6 +139,13 @@ def missing_links(root: Path, name: str, shared: dict[str, str]) -> dict[str, st
     }
 
 
+def missing_list_links(root: Path) -> Iterator[tuple[str, str]]:
+    """The place and the target of each link to the revocation list that an enclave lacks."""
+    for name in names_in(root):
+        for link, target in missing_links(root, name, LIST_TARGET).items():
+            yield f"{enclave_folder(name)}/{link}", target
+
+
 def _goal(path: str) -> str | None:
     """The target of the link at `path`; None if there is no link."""
     try:

@@ -11,8 +11,8 @@ from pqsec_pki.documents import DomainSet
 from pqsec_pki.errors import FileError, KeystoreError
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files
+from pqsec_pki.keystore.current_files import CurrentFiles
 from pqsec_pki.keystore.keystore import Keystore
-from pqsec_pki.keystore.overlap import Overlap
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -71,12 +71,16 @@ def _approvals(keystore: Keystore) -> str:
 
 
 def _cas(keystore: Keystore) -> Iterator[tuple[str, Certificate]]:
-    yield "identity CA", keystore.identity_ca
-    yield "permissions CA", keystore.permissions_ca
-    if keystore.countersigner:
-        yield "countersigner", keystore.countersigner
-    if overlap := Overlap.of(keystore):
-        yield "trusted too", overlap.other
+    """Their fingerprints are copied to robots: so they are those of the ledger."""
+    with CurrentFiles.of(keystore) as current:
+        anchors = current.anchors
+    issuing, *others = anchors.identity_cas
+    yield "identity CA", issuing
+    yield "permissions CA", anchors.permissions_ca
+    if anchors.countersigner:
+        yield "countersigner", anchors.countersigner
+    for each in others:
+        yield "trusted too", each
 
 
 def _keys(keystore: Keystore) -> str:

@@ -9,7 +9,7 @@ from enum import StrEnum
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._files import disk_errors, read
+from pqsec_pki._files import disk_errors, exists, read
 from pqsec_pki.credentials import (
     GOVERNANCE,
     NEEDED,
@@ -19,9 +19,10 @@ from pqsec_pki.credentials import (
     certificates_in,
     only_list,
 )
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import KeystoreError, PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore.bundle_numbers import BundleNumbers
+from pqsec_pki.keystore.current_files import CurrentFiles
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import enclave_files
 from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
@@ -91,18 +92,30 @@ def robot_states(
 ) -> dict[str, RobotState]:
     """The state of the robot of each of these participants, by name, in their order.
 
-    The files of the keystore are compared with the newest receipt. KeystoreError for a damaged
-    ledger or a missing file, FileError for one that cannot be read.
+    The files of the keystore are compared with the newest receipt; in place of older ones, those
+    that another machine with its ledger made for all. KeystoreError for a damaged ledger or a
+    missing file, FileError for one that cannot be read.
     """
     with keystore.open_ledger() as ledger:
         receipts = {entry.name: Receipt.of(entry) for entry in ledger.newest(RECEIPT)}
         numbers = BundleNumbers.among(ledger) if receipts else None
-    shared: dict[tuple[int, int], bytes] = {}
+    shared = _newer(keystore)
     with disk_errors(keystore.root):
         return {
             each.name: _state(keystore, each, receipts.get(each.name), numbers, shared)
             for each in participants
         }
+
+
+def _newer(keystore: Keystore) -> dict[tuple[int, int], bytes]:
+    """What to read in place of older files, by their device and inode."""
+    if keystore.ledger_address is None:
+        return {}
+    with CurrentFiles.of(keystore) as current, suppress(KeystoreError):
+        found = current.newer_elsewhere().items()
+        there = ((path.stat(), data) for path, data in found if exists(path))
+        return {(status.st_dev, status.st_ino): data for status, data in there}
+    return {}
 
 
 def _state(

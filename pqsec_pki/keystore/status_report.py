@@ -15,6 +15,7 @@ from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
 from pqsec_pki.keystore._file_comparison import FileComparison, presence
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.current_files import CurrentFiles
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
@@ -137,7 +138,15 @@ def list_status(
 
 def signed_governance(keystore: Keystore) -> Governance:
     """The keystore's governance; `governance_digest` compares it with the ledger."""
-    return Governance.from_xml(document_in(keystore.governance))
+    return Governance.from_xml(document_in(_governance(keystore)))
+
+
+def _governance(keystore: Keystore) -> bytes:
+    """The signed governance, also one that another machine with its ledger made since."""
+    if keystore.ledger_address:
+        with CurrentFiles.of(keystore) as current, suppress(KeystoreError):
+            return current.shared[layout.GOVERNANCE]
+    return keystore.governance
 
 
 def signed_grants(keystore: Keystore, name: str) -> tuple[Grant, ...]:
@@ -159,7 +168,7 @@ def governance_digest(keystore: Keystore) -> str | None:
         newest = ledger.of_name("governance", "")[-1:]
     with suppress(MissingError):
         for each in newest:
-            if hashlib.sha256(keystore.governance).hexdigest() == each.sha256:
+            if hashlib.sha256(_governance(keystore)).hexdigest() == each.sha256:
                 return each.details.get("mark", "")
     return None
 

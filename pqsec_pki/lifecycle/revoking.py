@@ -4,7 +4,7 @@ All of it is one change. The list is made from the ledger. There is one file, in
 each enclave links to it, so one rename gives all enclaves the new list.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -149,7 +149,7 @@ class Publisher:
         """
         refuse_overlap(self.keystore, "a revocation list would cover only one of them")
         made = self.stage(transaction, new, validity)
-        for place, target in missing_list_links(self.keystore):
+        for place, target in layout.missing_list_links(self.keystore.root):
             transaction.link(place, target)
         return made
 
@@ -302,13 +302,6 @@ def _revoked(entry: Entry) -> RevokedCertificate:
         revoked_at=entry.made_at,
         reason=entry.details.get("reason"),
     )
-
-
-def missing_list_links(keystore: Keystore) -> Iterator[tuple[str, str]]:
-    """The place and the target of each missing link to the list."""
-    for name in keystore.names():
-        for link, target in layout.missing_links(keystore.root, name, layout.LIST_TARGET).items():
-            yield f"{layout.enclave_folder(name)}/{link}", target
 
 
 def _result(entry: Entry, listed: Collection[int], *, before: bool) -> Revoked:

@@ -14,6 +14,7 @@ from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.approvals import Covered
 from pqsec_pki.documents import Governance, Kind, Permissions
+from pqsec_pki.errors import VerificationError
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
@@ -22,7 +23,9 @@ from pqsec_pki.keystore import (
     change,
     checked_head,
     document_entry,
+    faults_of_ledger,
     layout,
+    placed_entry,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
@@ -87,6 +90,8 @@ def sign_head(keystore: Keystore, authorities: Authorities) -> TreeHead:
 
     VerificationError if it no longer has the lines of which the last head was signed.
     """
+    if faults := faults_of_ledger(keystore):
+        raise VerificationError(*faults, hint="`pqsec log --verify` shows what is missing")
     with change(keystore.root, authorities):
         pass  # each change with the CA keys signs one
     return checked_head(keystore).head
@@ -106,7 +111,8 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     """Sign the meaning of `document` into the file `goal`, anywhere, and enter it in the ledger.
 
     What is signed has the form of `Governance.to_xml` or `Permissions.to_xml`, without comments. If
-    `goal` is a document of the keystore, its XML file is replaced in the same change.
+    `goal` is a document of the keystore, its line says so, and its XML file is replaced in the same
+    change.
     ExistsError if `goal` exists, unless `force`; then nothing is entered. InvalidDocumentError if
     `document` is not valid, UsageError for a time that no stack understands.
     """
@@ -114,8 +120,9 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
-        transaction.record(document_entry(kind.value, str(goal), signed, now))
         place = layout.document_folder(keystore.root, kind.value, goal)
+        entry = document_entry(kind.value, str(goal), signed, now)
+        transaction.record(entry if place is None else placed_entry(entry, place))
         if place is None:
             write(goal, signed, force=force)
         else:

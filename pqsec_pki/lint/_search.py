@@ -80,7 +80,7 @@ class Search:
         """Read the settings of a keystore; if a change was interrupted, only record that."""
         path = root / SETTINGS
         try:
-            self.keystore = Keystore.open(root)
+            self.keystore = Keystore.open(root).as_found
         except InterruptedChangeError:
             there = [each for each in _UNFINISHED if os.path.lexists(root / each)]
             self.interrupted_change = root / (there or _UNFINISHED)[0]

@@ -3,6 +3,7 @@
 import stat
 from collections import Counter
 from collections.abc import Iterable, Iterator
+from contextlib import nullcontext
 from dataclasses import field
 from datetime import datetime
 from functools import partial
@@ -23,7 +24,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import SETTINGS, Keystore, expanded
+from pqsec_pki.keystore import SETTINGS, CurrentFiles, Keystore, expanded
 from pqsec_pki.policy.loading import Document, document_at, governance_in
 from pqsec_pki.policy.participants import (
     PolicyInput,
@@ -80,12 +81,27 @@ def fleet_in(
     now: datetime,
     *readings: Interpretation,
     anchors: TrustAnchors | None = None,
+    compared: bool = True,
 ) -> Fleet:
     """The participants of a keystore; those without a grant by any of `readings` are left out.
 
-    `anchors` are those of the keystore, if they were read before.
+    `anchors` are those of the keystore, if they were read before. KeystoreError if the governance,
+    the list or a CA is not the current one (`CurrentFiles`), unless it is not to be `compared`.
     """
-    anchors = valid_anchors(anchors or keystore.anchors, now)
+    with CurrentFiles.of(keystore) if compared else nullcontext() as current:
+        if current:
+            current.refuse_others_of_all()
+        return _fleet_of(keystore, now, reading, anchors or keystore.anchors, current)
+
+
+def _fleet_of(
+    keystore: Keystore,
+    now: datetime,
+    reading: Interpretation,
+    anchors: TrustAnchors,
+    current: CurrentFiles | None,
+) -> Fleet:
+    anchors = valid_anchors(anchors, now)
     check = partial(anchors.verified, now=now)
     governance = shared_governance(keystore, check)
     members, refused = list[DocumentOwner](), dict[str, str]()
@@ -100,6 +116,8 @@ def fleet_in(
                 _refuse_ungranted(own.value, subject, now, readings)
             if own_governance(keystore, name, governance, check) != governance.value:
                 raise VerificationError("its governance differs from the governance of the others")
+            if current:
+                current.refuse_others(name)
         except PqsecError as error:
             _refuse_unreadable(error)
             refused[name] = str(error)

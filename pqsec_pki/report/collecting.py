@@ -5,6 +5,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
 from datetime import datetime
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -13,7 +14,15 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, RobotState, Status, audit, robot_states
+from pqsec_pki.keystore import (
+    CurrentFiles,
+    Keystore,
+    Line,
+    RobotState,
+    Status,
+    audit,
+    robot_states,
+)
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
 from pqsec_pki.migration import MigrationPlan
@@ -61,10 +70,11 @@ def report_of(
     It needs no private key. Nothing is raised for a part that cannot be read or is not valid:
     the report has a gap for it.
     """
+    keystore = keystore.as_found  # its evidence says what is wrong
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
     lines = made.part(EVENTS, keystore.lines)
-    checked, fleet = made.verified()
+    checked, fleet = made.verified(compared=lines is not None)
     authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
     if checked:
         made.note_unread(checked)
@@ -116,12 +126,16 @@ class _ReportMaker:
         """The part that `make` returns for what is given; None without it."""
         return _of(given, lambda found: self.part(section, lambda: make(found)))
 
-    def verified(self) -> tuple[LintReport | None, Fleet | None]:
-        """The findings, and the participants' rights: what one verified, the other does not."""
+    def verified(self, *, compared: bool) -> tuple[LintReport | None, Fleet | None]:
+        """The findings, and the participants' rights: what one verified, the other does not.
+
+        Rights are those of the current documents; without a readable ledger they are not compared.
+        """
         keystore, now = self.keystore, self.now
         anchors = self.part(RIGHTS, lambda: replace(keystore.anchors, remembers_all=True))
         checked = self.part(FINDINGS, lambda: check([keystore.root], now=now, anchors=anchors))
-        fleet = self.of(anchors, RIGHTS, lambda read: fleet_in(keystore, now, SPEC, anchors=read))
+        rights = partial(fleet_in, keystore, now, SPEC, compared=compared)
+        fleet = self.of(anchors, RIGHTS, lambda read: rights(anchors=read))
         return checked, fleet
 
     def note_unread(self, checked: LintReport) -> None:
@@ -177,11 +191,13 @@ def _participants(status: Status) -> Iterator[ParticipantRow]:
 
 def _certificates(keystore: Keystore, status: Status | None) -> dict[str, Certificate]:
     """The CAs' certificates by their kinds, as in `Status.shared`."""
-    found = {"identity-ca": keystore.identity_ca, "permissions-ca": keystore.permissions_ca}
-    if countersigner := keystore.countersigner:
+    with CurrentFiles.of(keystore) as current:
+        anchors = current.anchors
+    found = {"identity-ca": anchors.identity_ca, "permissions-ca": anchors.permissions_ca}
+    if countersigner := anchors.countersigner:
         found["countersigner"] = countersigner
     if status and any(each.kind == "trusted-too" for each in status.shared):
-        others = (each for each in keystore.anchors.identity_cas)
+        others = (each for each in anchors.identity_cas)
         found["trusted-too"] = next(each for each in others if each != found["identity-ca"])
     return found
 

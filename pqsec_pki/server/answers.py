@@ -79,6 +79,10 @@ def file_in(path: Path, media_type: str, otherwise: str) -> SignerAnswer:
     one."""
     if not exists(path):
         raise NotAdmittedError(404, otherwise)
-    data = read(path)
+    return content(read(path), media_type)
+
+
+def content(data: bytes, media_type: str) -> SignerAnswer:
+    """The answer with these octets, and the tag by which a client knows them."""
     etag = f'"{hashlib.sha256(data).hexdigest()}"'
     return SignerAnswer(status=200, body=data, media_type=media_type, etag=etag)

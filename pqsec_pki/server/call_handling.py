@@ -28,6 +28,7 @@ from pqsec_pki.est import (
 from pqsec_pki.keystore import (
     Authorities,
     BundleNumbers,
+    CurrentFiles,
     Keystore,
     Ledger,
     SeenLedger,
@@ -39,6 +40,7 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle import fetch_files, issue
 from pqsec_pki.server.admission import Admission
 from pqsec_pki.server.answers import (
+    content,
     decided,
     failed,
     file_in,
@@ -53,7 +55,7 @@ from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.identifying import without_certificate
 from pqsec_pki.server.list_keeping import keep_list
 from pqsec_pki.server.receipt_taking import take_receipts
-from pqsec_pki.server.requester import Admitted, Requester
+from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester
 from pqsec_pki.server.token_lines import request_of
 from pqsec_pki.server.waiting import WaitingRequests
 from pqsec_pki.transparency import MerkleTree
@@ -85,8 +87,7 @@ class CallHandler:
         if self.revocation_list is None:
             return False
         with self.keystore.hold(keep_connection=True):
-            with self.keystore.open_ledger() as ledger:
-                self.seen.refuse_less(self.keystore.root, ledger)
+            self._whole_ledger().close()
             self._fetch_shared()
             return keep_list(
                 self.keystore, self.authorities, self.revocation_list, now=self.clock()
@@ -143,11 +144,11 @@ class CallHandler:
         if not calls:
             return []
         with self.keystore.hold(keep_connection=True):
-            with self.keystore.open_ledger() as ledger:
-                try:
-                    self.seen.refuse_less(self.keystore.root, ledger)
-                except PqsecError as error:
-                    return [unavailable(error)] * len(calls)
+            try:
+                ledger = self._whole_ledger()
+            except PqsecError as error:
+                return [unavailable(error)] * len(calls)
+            with ledger:
                 deciding = self._admission(ledger)
                 found = [decided(deciding.of, each) for each in calls]
                 admitted = [each for each in found if isinstance(each, Admitted)]
@@ -168,6 +169,16 @@ class CallHandler:
                     else refused(misdirected(each.name))
                     for call, each in zip(calls, found, strict=True)
                 ]
+
+    def _whole_ledger(self) -> Ledger:
+        """The ledger; VerificationError if it lacks lines that were there (`SeenLedger`)."""
+        ledger = self.keystore.as_found.open_ledger()
+        try:
+            self.seen.refuse_less(self.keystore.root, ledger)
+        except BaseException:
+            ledger.close()
+            raise
+        return ledger
 
     def _admission(self, ledger: Ledger) -> Admission:
         return Admission(
@@ -244,7 +255,8 @@ class CallHandler:
         return SignerAnswer(status=200, body=b"ready\n", media_type=TEXT)
 
     def _ca_certificates(self) -> SignerAnswer:
-        body = to_base64(certs_only(self.keystore.anchors.identity_cas))
+        with CurrentFiles.of(self.keystore) as current:
+            body = to_base64(certs_only(current.anchors.identity_cas))
         return SignerAnswer(status=200, body=body, media_type=PKCS7)
 
     def _request_attributes(self) -> SignerAnswer:
@@ -284,7 +296,11 @@ class CallHandler:
 
     def _revocation_list(self) -> SignerAnswer:
         self._fetch_shared()
-        return file_in(self.keystore.revocation_list_path, PKIX_CRL, "there is no revocation list")
+        with CurrentFiles.of(self.keystore) as current:
+            found = current.shared.get(layout.LIST)
+        if found is None:
+            raise NotAdmittedError(404, "there is no revocation list")
+        return content(found, PKIX_CRL)
 
     def _head(self) -> SignerAnswer:
         path = self.keystore.root / layout.PUBLIC / layout.TREE_HEAD

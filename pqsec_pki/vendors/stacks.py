@@ -4,8 +4,8 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
-from pqsec_pki.errors import UsageError, VerificationError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
+from pqsec_pki.keystore import CurrentFiles, Keystore
 from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
@@ -23,7 +23,8 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     VerificationError if the credentials cannot be trusted (room `credentials`), or the stack is
     known to refuse them (`pqsec check` finds an error), or our plugin does, unless
     `options.anyway`; UsageError if there is no such stack, or an option is not for it;
-    KeystoreError if there is no such participant, FileError if our plugin is not there.
+    KeystoreError if there is no such participant, or, unless `options.anyway`, a file is not the
+    newest by the ledger; FileError if our plugin is not there.
     """
     exporter = exporter_of(stack)
     exporter.refuse_unknown(options)
@@ -42,7 +43,10 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     refusal = _refusal(exporter, enclave, errors, options, now)
     if refusal and not options.anyway:
         raise refusal
-    refused = map(str, refusal.problems) if refusal else ()
+    older = _not_current(keystore, enclave.name)
+    if older and not options.anyway:
+        raise older
+    refused = [*map(str, refusal.problems if refusal else ()), *([str(older)] if older else ())]
     profile = enclave.profile if options.plugin else None
     sizes = [each.message for each in largest_messages(report.inventory, profile)]
     datagrams = _datagrams.notes(exporter.stack, enclave, options, max(sizes, default=0))
@@ -51,6 +55,16 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
         notes=(*made.notes, *datagrams),
         warnings=(*made.warnings, *refused, *map(_message_of, warnings)),
     )
+
+
+def _not_current(keystore: Keystore, name: str) -> KeystoreError | None:
+    """The error for files that are not the current ones: a stack reads them where they are."""
+    try:
+        with CurrentFiles.of(keystore) as current:
+            current.refuse_others(name)
+    except KeystoreError as error:
+        return error
+    return None
 
 
 def _refusal(

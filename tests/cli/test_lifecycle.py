@@ -170,6 +170,9 @@ def test_a_ledger_that_was_replaced_by_a_copy_is_told(pqsec, k, tmp_path):
     assert [each["rule"] for each in found.json["findings"] if each["severity"] == "error"] == [
         "PQS008"
     ]
+    for line in ("revoke /lost --yes", "revoke --certificate cert.pem --yes", "ca crl", "ra list"):
+        pqsec(f"-k k {line}").refused(3, "the ledger lacks lines", hint="docs/how-to/anchors.md")
+    (tmp_path / "k/public/ledger.checkpoint").unlink()  # the loss is accepted
     pqsec("-k k revoke /lost --yes").refused(3, "no participant")
     pqsec("-k k revoke --yes").refused(2, "nothing to revoke")
     done = pqsec("-k k revoke --certificate cert.pem --yes --json").done().json["revoked"]
@@ -265,7 +268,9 @@ def test_log_tells_of_a_ledger_that_differs_from_what_was_signed(pqsec, k):
     found = pqsec("-k k log --verify --anchor anchors --json")
     assert found.code == 1
     assert any("those up to" in each for each in json.loads(found.out)["problems"])
-    note = pqsec("-k k bundle /third --plain-key").done().err
+    pqsec("-k k bundle /third --plain-key").refused(3, "the ledger lacks lines")
+    (k / "public/ledger.checkpoint").unlink()
+    note = pqsec("-k k bundle /talker --plain-key").done().err
     assert "without proof that the ledger has the documents" in note
 
 

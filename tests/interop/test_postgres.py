@@ -4,20 +4,32 @@ import os
 import shutil
 import subprocess
 import sys
+from dataclasses import replace
+from hashlib import sha256
 
+import psycopg
 import pytest
+from psycopg import errors
 
 from pqsec_pki.domain import apply, plan, read_domain
-from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError, VerificationError
+from pqsec_pki.enrolment import Bundle
+from pqsec_pki.errors import ExistsError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import (
+    InstallState,
     Keystore,
+    Receipt,
     State,
     _postgres,
     _postgres_schema,
     _shared,
     audit,
+    change,
     checked_head,
+    governance_digest,
+    older_copies,
+    robot_states,
     schema_sql,
+    signed_governance,
     status,
 )
 from pqsec_pki.lifecycle import (
@@ -27,15 +39,21 @@ from pqsec_pki.lifecycle import (
     move_ledger,
     plan_rollover,
     renew,
+    renew_list,
     revoke,
+    sign_governance,
 )
+from pqsec_pki.vendors import Options, export
 from tests.interop.cut import Cutter
 from tests.interop.shared_ledger import check_whole, copied, create, issue_to, settled
 from tests.postgres import WRITER
 from tests.unit.killing import NOW, YEAR, disturbed_calls, survives
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
-_END = "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'pqsec'"
+_END = (
+    "SELECT pg_terminate_backend(pid) FROM pg_stat_activity"
+    " WHERE application_name LIKE 'pqsec on %'"
+)
 
 
 @pytest.fixture
@@ -85,7 +103,7 @@ def test_who_reads_again_reads_what_is_new(first, second, cluster, database, mon
     assert min(asked) >= before
     cluster.sql("DROP SCHEMA pqsec CASCADE", database)
     cluster.sql(schema_sql(writers=[WRITER]), database)
-    assert first.lines() == []  # another ledger at the same address is read from its begin
+    assert first.as_found.lines() == []  # another ledger at the same address is read from its begin
 
 
 def test_two_machines_continue_one_chain(first, second):
@@ -102,8 +120,131 @@ def test_a_revocation_of_another_machine_is_in_the_next_list(first, second):
     revoke(second, second.unlock(None), ["/alice"], now=NOW)
     _, made = revoke(first, first.unlock(None), ["/bob"], now=NOW)
     assert (made.number, len(made.revoked)) == (2, 2)
-    with pytest.raises(VerificationError, match="is not the newest list in the ledger"):
-        audit(bob)
+    assert audit(bob) == audit(first)
+    assert older_copies(bob) == [bob.revocation_list_path]
+    assert older_copies(first) == []
+
+
+def new_governance(keystore):
+    found = signed_governance(keystore)
+    rule = replace(found.domain_rules[0], allow_unauthenticated_participants=True)
+    changed = replace(found, domain_rules=(rule,))
+    sign_governance(keystore, keystore.unlock(None), changed, now=NOW)
+
+
+def new_list(keystore):
+    revoke(keystore, keystore.unlock(None), ["/alice"], now=NOW)
+
+
+@pytest.mark.parametrize(
+    ("change", "file", "path"),
+    [
+        (new_list, "crl.pem", "public/identity_ca.crl.pem"),
+        (new_governance, "governance.p7s", "enclaves/governance.p7s"),
+    ],
+)
+def test_what_another_machine_made_is_in_what_leaves_this_one(first, second, change, file, path):
+    issue_to(second.root, "/bob")
+    change(first)
+    newest = (first.root / path).read_bytes()
+    made = Bundle.of(second, ["/bob"], now=NOW, keys=False)
+    assert made.enclaves["/bob"][file] == newest
+    assert newest not in [each.read_bytes() for each in second.root.rglob("*") if each.is_file()]
+    assert audit(second) == audit(first)
+    with pytest.raises(KeystoreError, match="is not the current one: another machine made") as told:
+        export("cyclonedds", second, "/bob", Options(), now=NOW)
+    assert "`pqsec ca recover`" in told.value.hint
+    Keystore.recover(second.root)
+    assert (second.root / "enclaves/bob" / file).read_bytes() == newest
+    assert older_copies(second) == []
+    assert export("cyclonedds", second, "/bob", Options(), now=NOW)
+
+
+@pytest.mark.parametrize("change", [new_list, new_governance])
+def test_a_change_begins_with_what_another_machine_made(first, second, change):
+    change(first)
+    issue_to(second.root, "/bob")
+    assert second.governance == first.governance
+    assert second.revocation_list == first.revocation_list
+    assert older_copies(second) == []
+    xml = [each.root / "enclaves/governance.xml" for each in (first, second)]
+    assert xml[0].read_bytes() == xml[1].read_bytes()
+    check_whole(first, second)
+
+
+def test_a_robot_with_a_list_from_before_another_machine_is_outdated(first, second):
+    issue_to(second.root, "/bob")
+    renew_list(second, second.unlock(None), now=NOW)
+    bundle = Bundle.of(second, ["/bob"], now=NOW, keys=False)
+    files = {each: sha256(data).hexdigest() for each, data in bundle.enclaves["/bob"].items()}
+    receipt = Receipt(
+        participant="/bob",
+        bundle=bundle.number,
+        files=files,
+        installed_at=NOW,
+        made_at=NOW,
+        pqsec="0",
+    )
+    with change(second.root) as transaction:
+        transaction.record(receipt.entry(second.participant("/bob").certificate, NOW))
+    [bob] = status(second, ["/bob"], now=NOW).participants
+    assert robot_states(second, [bob])["/bob"].state is InstallState.CURRENT
+    revoke(first, first.unlock(None), ["/alice"], now=NOW)
+    found = robot_states(second, [bob])["/bob"]
+    assert (found.state, found.changed) == (InstallState.OUTDATED, ("crl.pem",))
+    assert found.should_run > bundle.number
+
+
+def test_a_plan_knows_the_governance_of_another_machine(first, second):
+    new_governance(first)
+    assert signed_governance(second) == signed_governance(first)
+    assert governance_digest(second) == governance_digest(first) is not None
+
+
+def test_what_the_database_does_not_keep_is_not_replaced_by_an_older_file(
+    first, second, cluster, database
+):
+    """As what an older pqsec wrote."""
+    new_list(second)
+    renew_list(first, first.unlock(None), now=NOW)
+    cluster.sql("DELETE FROM pqsec.files", database)
+    issue_to(first.root, "/carol")
+    with pytest.raises(KeystoreError, match="is an older one: line"):
+        issue_to(second.root, "/bob")
+    renew_list(second, second.unlock(None), now=NOW)
+    issue_to(second.root, "/bob")
+    assert Bundle.of(second, ["/bob"], now=NOW)
+    cluster.sql("DELETE FROM pqsec.files", database)
+    with pytest.raises(KeystoreError, match="not the newest revocation list") as told:
+        Bundle.of(first, ["/carol"], now=NOW)
+    assert "docs/how-to/postgresql.md" in told.value.hint
+
+
+def test_a_list_of_another_ca_is_not_taken_from_the_database(first, second, cluster, database):
+    new_list(first)
+    cluster.sql("UPDATE pqsec.files SET content = 'nonsense'", database)
+    with pytest.raises(KeystoreError, match="revocation list"):
+        Bundle.of(second, ["/alice"], now=NOW, keys=False)
+
+
+def test_a_database_from_before_a_line_that_the_cas_signed_decides_nothing(
+    first, second, cluster, database
+):
+    new_list(second)
+    before = len(first.lines())
+    issue_to(first.root, "/bob")
+    cut = f"DELETE FROM pqsec.ledger WHERE number > {before};"  # noqa: S608 -- a number
+    switched = [f"ALTER TABLE pqsec.ledger {each} TRIGGER USER;" for each in ("DISABLE", "ENABLE")]
+    cluster.sql(cut.join(switched), database)
+    for work in (
+        lambda: issue_to(first.root, "/carol"),
+        lambda: Bundle.of(first, ["/bob"], now=NOW),
+        lambda: first.approvals,
+        lambda: status(first, now=NOW),
+    ):
+        with pytest.raises(KeystoreError, match="the ledger lacks lines"):
+            work()
+    assert status(second, now=NOW)  # it has seen no head with these lines
 
 
 def test_another_keystore_does_not_begin_in_a_database_with_lines(first, tmp_path):
@@ -128,12 +269,12 @@ def test_tables_are_made_once_and_brought_up_to_date(first, cluster, database, m
     cluster.sql(schema_sql([WRITER]), database)
     newer = "ALTER TABLE pqsec.ledger ADD COLUMN remark text;\n"
     monkeypatch.setattr(_postgres_schema, "_FORMATS", (*_postgres_schema._FORMATS, newer))
-    monkeypatch.setattr(_postgres_schema, "FORMAT", 4)
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 5)
     with pytest.raises(KeystoreError, match="made by an older pqsec"):
         first.lines()
     cluster.sql(schema_sql([WRITER]), database)
     assert len(first.lines()) == 5
-    monkeypatch.setattr(_postgres_schema, "FORMAT", 3)
+    monkeypatch.setattr(_postgres_schema, "FORMAT", 4)
     with pytest.raises(KeystoreError, match="made by another version of pqsec"):
         first.lines()
 
@@ -141,7 +282,8 @@ def test_tables_are_made_once_and_brought_up_to_date(first, cluster, database, m
 def test_a_command_waits_for_the_lock_and_then_says_who_has_it(first, second, monkeypatch):
     shorter = _postgres._SESSION_SQL.replace("'30s'", "'100ms'")
     monkeypatch.setattr(_postgres, "_SESSION_SQL", shorter)
-    with first.hold(), pytest.raises(KeystoreError, match="another pqsec command is using this"):
+    words = f"another pqsec command is using this ledger: pqsec on .* by role {WRITER}$"
+    with first.hold(), pytest.raises(KeystoreError, match=words):
         issue_to(second.root, "/bob")
     issue_to(second.root, "/bob")
     with first.hold():
@@ -279,6 +421,65 @@ def test_a_writer_cannot_say_that_another_role_wrote(first, cluster, database):
             WRITER,
         )
     assert "permission denied" in refusal.value.stderr
+
+
+OLD_LOCK = int.from_bytes(sha256(b"pqsec ledger").digest()[:8], "big", signed=True)
+
+
+def test_a_reader_cannot_keep_writers_from_adding_lines(first, cluster, database, monkeypatch):
+    """An advisory lock, as it was, can be taken by every role; so can the locks of a reader."""
+    shorter = _postgres._SESSION_SQL.replace("'30s'", "'500ms'")
+    monkeypatch.setattr(_postgres, "_SESSION_SQL", shorter)
+    cluster.sql("CREATE ROLE watcher LOGIN", database)
+    cluster.sql(schema_sql(readers=["watcher"]), database)
+    url = cluster.address(database, "watcher").url
+    with psycopg.connect(url) as reader:  # in one transaction, until its end
+        reader.execute("SELECT pg_advisory_lock(%s), pg_advisory_xact_lock(%s)", [OLD_LOCK] * 2)
+        for table in ("ledger", "format", "files"):
+            reader.execute(f"SELECT count(*) FROM pqsec.{table}")  # noqa: S608 -- names of above
+            reader.execute(f"LOCK TABLE pqsec.{table} IN ACCESS SHARE MODE")
+        issue_to(first.root, "/bob")
+        with first.hold():
+            issue_to(first.root, "/carol")
+    for statement in (
+        "SELECT FROM pqsec.writing FOR UPDATE",
+        "SELECT FROM pqsec.writing FOR KEY SHARE",
+        "LOCK TABLE pqsec.writing IN ROW SHARE MODE",
+        *(f"LOCK TABLE pqsec.{each} IN SHARE MODE" for each in ("ledger", "format", "files")),
+        "SELECT FROM pqsec.ledger FOR KEY SHARE",
+    ):
+        with psycopg.connect(url) as reader, pytest.raises(errors.InsufficientPrivilege):
+            reader.execute(statement)
+    check_whole(first)
+
+
+def test_the_role_that_has_the_lock_is_named_also_to_another_role(
+    first, second, cluster, database, monkeypatch
+):
+    shorter = _postgres._SESSION_SQL.replace("'30s'", "'100ms'")
+    monkeypatch.setattr(_postgres, "_SESSION_SQL", shorter)
+    cluster.sql("CREATE ROLE night LOGIN", database)
+    cluster.sql(schema_sql(writers=["night"]), database)
+    settings = second.root / "pqsec.json"
+    settings.write_text(settings.read_text().replace(f"{WRITER}@", "night@"))
+    with first.hold(), pytest.raises(KeystoreError, match=f"pqsec on .* by role {WRITER}$"):
+        issue_to(second.root, "/bob")
+    with second.hold(), pytest.raises(KeystoreError, match=r"pqsec on .* by role night$"):
+        issue_to(first.root, "/bob")
+    issue_to(second.root, "/bob")
+    check_whole(first, second)
+
+
+def test_who_lost_the_lock_in_a_hold_adds_no_line(first, second, cluster, database):
+    before = first.head
+    holder = "mode = 'RowShareLock' AND relation = 'pqsec.writing'::regclass"
+    end = f"SELECT pg_terminate_backend(pid) FROM pg_locks WHERE {holder}"  # noqa: S608 -- as above
+    with pytest.raises(KeystoreError, match="terminat"), first.hold():  # noqa: PT012 -- in a hold
+        assert cluster.sql(end, database).split() == ["t"]
+        issue_to(first.root, "/bob")
+    assert second.head == before
+    issue_to(second.root, "/bob")
+    check_whole(first, second)
 
 
 def test_a_reader_reads_and_adds_nothing(first, cluster, database):

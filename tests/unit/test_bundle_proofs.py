@@ -10,7 +10,7 @@ from pqsec_pki.credentials import Credentials, verify_credentials, verify_logged
 from pqsec_pki.enrolment import Bundle, install, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
-from pqsec_pki.errors import MalformedError, UsageError, VerificationError
+from pqsec_pki.errors import KeystoreError, MalformedError, UsageError, VerificationError
 from pqsec_pki.keystore import BundleNumbers
 from pqsec_pki.keystore.heads import read_head
 from pqsec_pki.lifecycle import renew
@@ -129,7 +129,9 @@ def test_a_tree_that_is_kept_gives_the_proofs_of_a_new_one(tmp_path):
         assert proven(tree) == proven(None) is not None
         assert tree.size == len(keystore.lines())
     rewrite(keystore, 2, operator="somebody else")
-    assert proven(tree) is proven(None) is None
+    for kept in (tree, None):
+        with pytest.raises(KeystoreError, match="the ledger lacks one of the"):
+            proven(kept)
 
 
 def altered(proof, at=0, **changes):
@@ -235,7 +237,8 @@ def test_only_proofs_that_hold_are_given(tmp_path):
     enter(keystore, [entry(1)])  # a line in no head yet
     assert Bundle.of(keystore, ["/talker"], now=NOW).proof
     rewrite(keystore, 3, name="x")
-    assert Bundle.of(keystore, ["/talker"], now=NOW).proof is None
+    with pytest.raises(KeystoreError, match="the ledger lacks one of the"):
+        Bundle.of(keystore, ["/talker"], now=NOW)
     forget_heads(keystore)
     assert Bundle.of(keystore, ["/talker"], now=NOW).proof is None
 

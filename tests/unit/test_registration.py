@@ -131,10 +131,10 @@ def line(tmp_path):
 
 def refused(line, order, words, error=VerificationError, now=NOW, **options):
     """It is refused for that reason, and nothing is issued or recorded."""
-    before = line.keystore.head
+    before = line.keystore.as_found.head
     with pytest.raises(error, match=words):
         line.perform(order, now, **options)
-    assert line.keystore.head == before
+    assert line.keystore.as_found.head == before
 
 
 @pytest.mark.parametrize("profile", ["classical", "hybrid", "transition"])

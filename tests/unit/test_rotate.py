@@ -481,6 +481,7 @@ def from_a_backup(keystore):
     before = path.read_bytes()
     add(keystore, **{"/new": "0"})
     path.write_bytes(before)
+    (keystore.root / "public/ledger.checkpoint").unlink()
 
 
 @pytest.mark.parametrize(

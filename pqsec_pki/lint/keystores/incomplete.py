@@ -48,9 +48,10 @@ def interrupted_change(inventory: Inventory) -> Iterator[Violation]:
     "PQS008", Severity.ERROR, "the ledger is not the one that the CAs signed",
     why="The ledger is shorter than the newest head that the CAs signed, or has other lines:"
     " somebody cut its end, rewrote it, or restored an older copy. What is gone may be revocations,"
-    " so lists that are issued from now on would lack them.",
+    " or the rule about approvals, so commands refuse to decide by it.",
     fix="Restore the ledger that fits. If it is lost, `pqsec log --verify` shows since when;"
-    " `pqsec revoke --certificate FILE` revokes certificates that the ledger no longer has.",
+    " remove public/ledger.checkpoint to go on without it, and then revoke what it no longer has:"
+    " `pqsec revoke --certificate FILE`.",
     bad="""
         $ mkdir ledgers
         $ cp -p k/private/ledger.sqlite3 ledgers/older

@@ -1,0 +1,96 @@
+"""The files for all participants that another machine wrote: a change of this one begins with them.
+
+So nothing is signed, compared or decided here by an older governance or list. They come from the
+ledger's database, by the SHA-256 in their line, and the CAs must have signed them.
+"""
+
+from pathlib import Path
+
+from pqsec_pki._files import exists
+from pqsec_pki.credentials import only_list
+from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._shared_files import LedgerFile, shared_elsewhere
+from pqsec_pki.keystore._transaction import Transaction
+from pqsec_pki.keystore.participant import load_first_certificate
+from pqsec_pki.smime import verify
+
+WAYS_OUT = {
+    "crl": "restore it from a backup, or issue the next one: `pqsec ca crl`",
+    "governance": "restore it from a backup, or sign the one that is to apply: `pqsec apply`, or"
+    " `pqsec sign-governance` with its file",
+}
+"""By the kind of a file's line."""
+XML = {layout.PERMISSIONS: layout.PERMISSIONS_XML, layout.GOVERNANCE: layout.GOVERNANCE_XML}
+"""The file beside a signed document, with the document alone."""
+
+
+def newer_elsewhere(transaction: Transaction) -> dict[LedgerFile, bytes]:
+    """The governance and the list, if another machine wrote newer ones; KeystoreError as below.
+
+    Not what the database does not keep: `current_files` refuses to use the older file.
+    """
+    if transaction.database is None:
+        return {}
+    with Ledger(transaction.database) as ledger:
+        wanted = shared_elsewhere(Path(transaction.root.path), ledger)
+    return transaction.kept(wanted)
+
+
+def stage(transaction: Transaction, files: dict[LedgerFile, bytes]) -> None:
+    """Stage these files, and what belongs to them; KeystoreError if a CA here did not sign one."""
+    root = Path(transaction.root.path)
+    for each, data in files.items():
+        staged = transaction.folder(each.folder, private=False)
+        staged.public(each.file, data)
+        if each.file == layout.CA_LIST:
+            _refuse_foreign_list(root, data)
+            for place, target in layout.missing_list_links(root):
+                transaction.link(place, target)
+        else:
+            staged.public(XML[each.file], signed_document(root, each.folder, data))
+
+
+def refuse_older_files(transaction: Transaction) -> None:
+    """KeystoreError for an older governance or list, to which new enclaves would link.
+
+    Not if the change puts another one in its place, or signs nothing for participants.
+    """
+    if not any(each.kind in {"participant", "permissions"} for each in transaction.entries):
+        return
+    with transaction.opened_ledger() as ledger:
+        older = shared_elsewhere(Path(transaction.root.path), ledger)
+        for each in older:
+            path = Path(transaction.root.path) / each.folder / each.file
+            if exists(path) and not transaction.stages(each.folder, each.file):
+                line = ledger.line_of((each.kind,), each.sha256)
+                raise KeystoreError(
+                    f"{path} is an older one: line {line} of the ledger has the newest",
+                    hint=WAYS_OUT[each.kind],
+                )
+
+
+def signed_document(root: Path, folder: str, signed: bytes) -> bytes:
+    """The document in a signed file of another machine; KeystoreError if the CA did not sign it."""
+    public = root / layout.PUBLIC
+    second = public / layout.PERMISSIONS_ALT_CA
+    counter = load_first_certificate(second) if exists(second) else None
+    ca = load_first_certificate(public / layout.PERMISSIONS_CA)
+    try:
+        found = verify(signed, ca, alternative_ca=counter, pinned=bool(counter)).document
+    except PqsecError as error:
+        raise _refused(folder, error) from None
+    return found.replace(b"\r\n", b"\n")  # S/MIME has other ends of lines than our files
+
+
+def _refuse_foreign_list(root: Path, data: bytes) -> None:
+    try:
+        ca = load_first_certificate(root / layout.PUBLIC / layout.IDENTITY_CA)
+        only_list(data, layout.CA_LIST).verify(ca)
+    except PqsecError as error:
+        raise _refused(layout.PUBLIC, error) from None
+
+
+def _refused(folder: str, error: PqsecError) -> KeystoreError:
+    return KeystoreError(f"{folder}: what another machine signed is refused: {error}")
