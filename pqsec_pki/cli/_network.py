@@ -13,7 +13,7 @@ from pqsec_pki.errors import PqsecError, UsageError
 if TYPE_CHECKING:
     from pqsec_pki.est import Obtained, ServerTrust
 
-EXTRA = "enrol"
+NEEDS = "enrolment over a network needs the library {library}, which is not installed"
 
 fingerprints_option = click.option(
     "--ca-fingerprint",

@@ -6,14 +6,15 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read, refuse_existing, write
+from pqsec_pki._libraries import needs_libraries
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _formats, _help, _printing, _settings
+from pqsec_pki.cli import _formats, _help, _network, _printing, _settings
 from pqsec_pki.cli.serve import config_option
 from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import pins_in_use
 from pqsec_pki.errors import located, shown
-from pqsec_pki.est import EnrolmentToken, needs_extra
+from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.keystore import Keystore, matching
 from pqsec_pki.server import (
     ServerSettings,
@@ -157,7 +158,7 @@ def revoke(ids: tuple[str, ...], file: Path) -> None:
 
 
 def _server_pins(settings: ServerSettings) -> frozenset[str]:
-    with needs_extra("serve"):
+    with needs_libraries(_network.NEEDS):
         from pqsec_pki.est import spki_pin  # noqa: PLC0415 -- a library of an extra
 
         found = set()

@@ -4,8 +4,8 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _help, _passphrases, _printing, _progress, _settings
-from pqsec_pki.est import needs_extra
+from pqsec_pki._libraries import needs_libraries
+from pqsec_pki.cli import _help, _network, _passphrases, _printing, _progress, _settings
 from pqsec_pki.server import begin_server, read_settings
 
 config_option = click.option(
@@ -63,7 +63,7 @@ def serve(file: Path, url: str | None, part: str, passphrase_file: Path | None) 
         _printing.emit({"files": made}, map(str, made))
         return
     _progress.stop()
-    with needs_extra("serve"):
+    with needs_libraries(_network.NEEDS):
         from pqsec_pki.server import run_both, run_front, run_signer  # noqa: PLC0415 -- of an extra
 
         settings = read_settings(file)

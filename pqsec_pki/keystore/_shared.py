@@ -11,6 +11,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pqsec_pki._libraries import LIBRARIES
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _settings, layout
 from pqsec_pki.keystore._address import LedgerAddress
@@ -39,7 +40,7 @@ def connected(address: LedgerAddress) -> "PostgresLedger":
     except ImportError:
         raise KeystoreError(
             f"{address.place}: the library for PostgreSQL is not installed",
-            hint="install pqsec with its extra: pip install 'pqsec[postgres]'",
+            hint=LIBRARIES["psycopg"].hint,
         ) from None
     return PostgresLedger(address)
 

@@ -35,6 +35,7 @@ GROUND = {
     "_der",
     "_files",
     "_lazy",
+    "_libraries",
     "_owners",
     "_packages",
     "_processes",
