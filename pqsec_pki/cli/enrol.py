@@ -183,9 +183,11 @@ def _asked(
 
 def _token(file: Path) -> EnrolmentToken:
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for --help
+    from pqsec_pki._places import refuse_obeyed  # noqa: PLC0415 -- likewise
     from pqsec_pki.est import MAX_TOKEN_FILE  # noqa: PLC0415 -- likewise
 
     _passphrases.note_open(file)
+    refuse_obeyed([file], "which server and CAs are trusted")
     with located(file):
         return EnrolmentToken.from_bytes(read(file, limit=MAX_TOKEN_FILE))
 

@@ -10,7 +10,7 @@ from pqsec_pki._libraries import needs_libraries
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _formats, _help, _network, _printing, _settings
-from pqsec_pki.cli.serve import config_option
+from pqsec_pki.cli.serve import config_option, trusted_settings
 from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import pins_in_use
 from pqsec_pki.errors import located, shown
@@ -89,7 +89,7 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     secret: its holder can enrol as NAME until it is used up, ends or is revoked. It also has what
     the robot needs to trust the server and the CAs.
     """
-    settings, now = read_settings(file), _settings.now()
+    settings, now = trusted_settings(file), _settings.now()
     refuse_existing(goal, replaceable=False)
     known = read_domain(settings.domain).members
     keystore = Keystore.open(settings.keystore, to_change=True)
@@ -153,7 +153,7 @@ def list_(file: Path, form: str) -> None:
 @_settings.command_options
 def revoke(ids: tuple[str, ...], file: Path) -> None:
     """Revoke tokens. What robots got with them before stays; `pqsec revoke` revokes that."""
-    keystore = Keystore.open(read_settings(file).keystore, to_change=True)
+    keystore = Keystore.open(trusted_settings(file).keystore, to_change=True)
     _print(revoke_tokens(keystore, ids, now=_settings.now()))
 
 

@@ -35,6 +35,8 @@ The ledger:
     _entries      the lines for what is issued and signed
 Changes:
     _folder       access to folders by descriptor, never through a link
+    _gitignore    keeps what is secret out of git
+    _outsiders    refuses a keystore that another user could change
     _lock         one command at a time
     _transaction  the files and lines of a change, before it is committed
     _journal      commits a change wholly or not at all
@@ -63,6 +65,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._address import LedgerAddress
     from pqsec_pki.keystore._chain import Entry, Line
     from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
+    from pqsec_pki.keystore._gitignore import GITIGNORE, keystore_ignored, secrets_ignored
     from pqsec_pki.keystore._journal import change
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
@@ -151,6 +154,7 @@ else:
 __all__ = [
     "APPROVAL",
     "GENERATIONS",
+    "GITIGNORE",
     "GROUP",
     "GROUP_NAME",
     "ORDER",
@@ -210,6 +214,7 @@ __all__ = [
     "is_several",
     "key_algorithms",
     "key_hashes",
+    "keystore_ignored",
     "layout",
     "lines_since",
     "list_entry",
@@ -237,6 +242,7 @@ __all__ = [
     "regular_name",
     "robot_states",
     "schema_sql",
+    "secrets_ignored",
     "settings_file",
     "signed_governance",
     "signed_grants",

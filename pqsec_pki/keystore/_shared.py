@@ -16,6 +16,7 @@ from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _settings, layout
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._outsiders import refuse_open_root
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -55,6 +56,7 @@ def reading(root: Path, folder: Folder) -> "Iterator[PostgresLedger | None]":
         yield open_one
     elif address := _settings.read_ledger(root / layout.SETTINGS):
         folder.refuse_outsiders()
+        refuse_open_root(root)
         with _connection(root, address) as connection:
             yield connection
     else:

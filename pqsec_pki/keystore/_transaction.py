@@ -233,7 +233,7 @@ def _check_ledger(root: Folder, *, begin: bool) -> None:
 
 
 def refuse_detours(root: Folder, targets: Iterable[str]) -> None:
-    """KeystoreError if a target's folder is a link or a file.
+    """KeystoreError if a target's folder is a link or a file, or another user could change it.
 
     It reports this before the commit; the moves themselves use descriptors and follow no link.
     """
@@ -243,5 +243,5 @@ def refuse_detours(root: Folder, targets: Iterable[str]) -> None:
         while (above := os.path.dirname(above)) and above not in places:
             places.add(above)
     for place in sorted(places):
-        if root.kind(place or ".") not in {None, stat.S_IFDIR}:
+        if root.refuse_outsiders_of(place or ".") not in {None, stat.S_IFDIR}:
             raise should_be(f"{root.path}/{place}", "folder")

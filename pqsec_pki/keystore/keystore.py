@@ -28,6 +28,7 @@ from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._gitignore import GITIGNORE, keystore_ignored
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, unlock
 from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, read_ca_key
@@ -96,7 +97,9 @@ class Keystore:
             enclaves = transaction.folder(layout.ENCLAVES, private=False)
             enclaves.public(layout.GOVERNANCE_XML, governance)
             enclaves.public(layout.GOVERNANCE, signed)
-            transaction.folder(".", private=False).public(layout.SETTINGS, settings)
+            beside = transaction.folder(".", private=False)
+            beside.public(layout.SETTINGS, settings)
+            beside.public(GITIGNORE, keystore_ignored(root))
             transaction.record(
                 *authorities.entries(now), document_entry("governance", "", signed, now)
             )

@@ -24,9 +24,11 @@ from pqsec_pki.errors import (
     located,
 )
 from pqsec_pki.keystore import (
+    GITIGNORE,
     Keystore,
     Transaction,
     change,
+    keystore_ignored,
     layout,
     load_certificate,
     load_first_certificate,
@@ -118,6 +120,7 @@ def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> 
     root = keystore.root
     settings = transaction.folder(".", private=False)
     settings.public(layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
+    settings.public(GITIGNORE, keystore_ignored(root))
     if not (root / layout.PRIVATE).exists():
         transaction.folder(layout.PRIVATE, private=True)
     public = transaction.folder(layout.PUBLIC, private=False)

@@ -24,6 +24,7 @@ from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.metrics import StatusPages
 from pqsec_pki.server.running import bound, given_sockets, notify, stay
+from pqsec_pki.server.state_folder import refuse_open_state
 
 reactor: Any = _reactor
 _GRACE = 5.0
@@ -126,7 +127,8 @@ class Listening:
 
 
 def run_front(settings: ServerSettings) -> None:
-    """Answer clients until SIGTERM."""
+    """Answer clients until SIGTERM. FileError as of `refuse_open_state`."""
+    refuse_open_state(settings)
     Listening(settings).run()
 
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
-from pqsec_pki._owners import outsider, way_out
+from pqsec_pki._places import open_place
 from pqsec_pki.errors import FileError
 from pqsec_pki.server.configuration import ServerSettings
 from pqsec_pki.server.signer import give_to
@@ -30,12 +30,28 @@ def make_state(settings: ServerSettings) -> None:
 
 def _own_folder(path: Path, what: str) -> os.stat_result:
     """Make the folder, unless it is there; FileError, with `what`, if others may write there."""
+    _refuse_open(path, what)
     with disk_errors(path):
         path.mkdir(mode=0o700, exist_ok=True)
         found = path.stat()
-    if why := outsider(found, roots=True):
-        raise FileError(f"{path}: {what}: {why}", hint=way_out(found, str(path)))
+    _refuse_open(path, what)
     return found
+
+
+def _refuse_open(path: Path, what: str, owner: int | None = None) -> None:
+    """FileError, with `what`, if another user could change the folder, or one above it."""
+    if found := open_place(path, roots=True, owner=owner):
+        raise FileError(f"{found.path}: {what}: {found.who}", hint=found.remedy)
+
+
+def refuse_open_state(settings: ServerSettings) -> None:
+    """FileError if others than the signer's user could listen in place of the signer.
+
+    For the process that faces the network, which would send them tokens: that user owns serve.yaml.
+    """
+    with disk_errors(settings.path):
+        owner = settings.path.stat().st_uid
+    _refuse_open(settings.state, "the signer cannot be reached there", owner)
 
 
 @contextmanager

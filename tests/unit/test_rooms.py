@@ -38,6 +38,7 @@ GROUND = {
     "_libraries",
     "_owners",
     "_packages",
+    "_places",
     "_processes",
     "_progress",
     "_times",
