@@ -11,6 +11,7 @@ import grp
 import os
 import pwd
 import stat
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from shlex import quote
@@ -21,6 +22,9 @@ from pqsec_pki.errors import UsageError
 OPERATOR = "PQSEC_OPERATOR"
 MAX_OPERATOR = 64
 """Characters."""
+
+_OVERFLOW = 65534
+"""What Linux shows for users that a namespace does not have, unless it is told otherwise."""
 
 # An access control list as the kernel gives it: posix_acl_xattr.h of Linux, acl(5).
 _ACCESS_LIST = "system.posix_acl_access"
@@ -155,10 +159,12 @@ def _unknown_user() -> int:
     The root of a container without real privileges sees the host's folders so. Nobody inside it can
     be that user. 0 if the namespace has a user of that number, who may be meant.
     """
-    try:
+    number = _OVERFLOW
+    with suppress(OSError):  # a service of systemd may not see it
         number = int(Path("/proc/sys/kernel/overflowuid").read_text("ascii"))
+    try:
         lines = Path("/proc/self/uid_map").read_text("ascii").splitlines()
-    except (OSError, ValueError):
+    except OSError:
         return 0
     ranges = [(int(first), int(count)) for first, _, count in map(str.split, lines)]
     return 0 if any(first <= number < first + count for first, count in ranges) else number

@@ -7,6 +7,7 @@ import click
 
 from pqsec_pki._files import read, refuse_existing, write
 from pqsec_pki._libraries import needs_libraries
+from pqsec_pki._places import refuse_obeyed
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.cli import _formats, _help, _network, _printing, _settings
@@ -158,6 +159,7 @@ def revoke(ids: tuple[str, ...], file: Path) -> None:
 
 
 def _server_pins(settings: ServerSettings) -> frozenset[str]:
+    refuse_obeyed((each.chain for each in settings.tls), "which server robots trust")
     with needs_libraries(_network.NEEDS):
         from pqsec_pki.est import spki_pin  # noqa: PLC0415 -- a library of an extra
 

@@ -24,7 +24,7 @@ from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.metrics import StatusPages
 from pqsec_pki.server.running import bound, given_sockets, notify, stay
-from pqsec_pki.server.state_folder import refuse_open_state
+from pqsec_pki.server.state_folder import refuse_open_front
 
 reactor: Any = _reactor
 _GRACE = 5.0
@@ -127,8 +127,8 @@ class Listening:
 
 
 def run_front(settings: ServerSettings) -> None:
-    """Answer clients until SIGTERM. FileError as of `refuse_open_state`."""
-    refuse_open_state(settings)
+    """Answer clients until SIGTERM. FileError as of `refuse_open_front`."""
+    refuse_open_front(settings)
     Listening(settings).run()
 
 

@@ -44,14 +44,18 @@ def _refuse_open(path: Path, what: str, owner: int | None = None) -> None:
         raise FileError(f"{found.path}: {what}: {found.who}", hint=found.remedy)
 
 
-def refuse_open_state(settings: ServerSettings) -> None:
-    """FileError if others than the signer's user could listen in place of the signer.
+def refuse_open_front(settings: ServerSettings) -> None:
+    """FileError if others could listen in place of the signer, or give the server another key.
 
-    For the process that faces the network, which would send them tokens: that user owns serve.yaml.
+    For the process that faces the network, which would send them tokens. The signer's user owns the
+    state folder, or makes it in a folder of its own.
     """
-    with disk_errors(settings.path):
-        owner = settings.path.stat().st_uid
+    with disk_errors(settings.state):
+        there = settings.state if settings.state.exists() else settings.state.parent
+        owner = there.stat().st_uid
     _refuse_open(settings.state, "the signer cannot be reached there", owner)
+    for path in (file for each in settings.tls for file in (each.chain, each.key)):
+        _refuse_open(path, "it cannot be the server's", owner)
 
 
 @contextmanager

@@ -203,6 +203,16 @@ def test_a_server_obeys_no_file_and_uses_no_folder_that_others_can_change(tmp_pa
     assert "anybody may write there" in done.stderr
 
 
+@pytest.mark.parametrize("command", ["serve --part front", "enrolment-token create /fleet/r1 -o t"])
+def test_a_key_of_the_server_that_others_can_replace_is_not_used(tmp_path, command):
+    """Robots would trust the server that has it."""
+    made = Server(tmp_path, datetime.now(UTC), "classical")
+    (tmp_path / "0.pem").chmod(0o666)
+    done = made.cli(*command.split(), "--config", str(made.config), check=False)
+    assert (done.returncode, "0.pem: " in done.stderr) == (3, True)
+    assert "anybody may write there" in done.stderr
+
+
 def test_the_front_does_not_go_to_a_socket_that_others_can_replace(tmp_path):
     made = Server(tmp_path, datetime.now(UTC), "classical", state="shared/state")
     (tmp_path / "shared/state").mkdir(parents=True)
