@@ -30,7 +30,7 @@ _OVERFLOW = 65534
 _ACCESS_LIST = "system.posix_acl_access"
 _HEADER, _ENTRY = Struct("<I"), Struct("<HHI")
 _ACL_VERSION = 2
-_USER, _GROUP_OWNER, _GROUP, _MASK = 0x02, 0x04, 0x08, 0x10
+_USER, _GROUP_OWNER, _GROUP = 0x02, 0x04, 0x08
 _WRITE = 0o2
 
 
@@ -92,7 +92,10 @@ def operator() -> str:
 
 
 def _of_groups(found: os.stat_result, place: str | int) -> str:
-    """Who may write by the group's bits, which are the mask if there is an access control list."""
+    """Who may write by the group's bits.
+
+    If there is an access control list, they are its mask: an entry allows what the mask allows too.
+    """
     try:
         entries = _access_list(place)
     except OSError:
@@ -110,7 +113,7 @@ def _of_groups(found: os.stat_result, place: str | int) -> str:
 
 
 def _access_list(place: str | int) -> list[tuple[int, int, int]]:
-    """The entries of a POSIX access control list: kind, rights below the mask, user or group.
+    """The entries of a POSIX access control list: kind, rights, user or group.
 
     Empty if there is none, as on file systems without them. OSError if it cannot be read.
     """
@@ -123,12 +126,7 @@ def _access_list(place: str | int) -> list[tuple[int, int, int]]:
         raise
     if len(data) % _ENTRY.size != _HEADER.size or _HEADER.unpack_from(data) != (_ACL_VERSION,):
         raise OSError(errno.EINVAL, "not an access control list")
-    entries = list(_ENTRY.iter_unpack(data[_HEADER.size :]))
-    mask = next((rights for kind, rights, _ in entries if kind == _MASK), 0o7)
-    return [
-        (kind, rights & mask if kind in {_USER, _GROUP_OWNER, _GROUP} else rights, number)
-        for kind, rights, number in entries
-    ]
+    return list(_ENTRY.iter_unpack(data[_HEADER.size :]))
 
 
 @cache

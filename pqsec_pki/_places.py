@@ -5,6 +5,7 @@ place. So each folder and link on the way is looked at, once: like the place its
 caller's, or root's, and others may not write there, except in a sticky folder such as /tmp.
 """
 
+import errno
 import os
 import stat
 from collections.abc import Iterable, Iterator
@@ -87,8 +88,12 @@ def make_folders(folder: Path, mode: int) -> None:
                 each.mkdir(mode=mode)
                 each.chmod(mode)
             except FileExistsError:
-                if not each.is_dir():  # another process may have made it
+                if each.is_dir():  # another process made it
+                    continue
+                if each == folder:
                     raise
+                code = errno.ENOTDIR
+                raise NotADirectoryError(code, os.strerror(code), str(folder)) from None
 
 
 @contextmanager

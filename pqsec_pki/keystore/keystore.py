@@ -72,12 +72,14 @@ class Keystore:
         passphrase: bytes | None,
         keys: Mapping[str, PrivateKey] | None = None,
         ledger: LedgerAddress | None = None,
+        gitignore: bool = False,
         now: datetime,
     ) -> Self:
         """Create two CAs and a signed default governance in the folder `root`.
 
         `keys` are CA keys that are there already, by the names of their files: see `made_keys`.
-        The ledger begins in the database at `ledger` [default: in a file of the keystore].
+        The ledger begins in the database at `ledger` [default: in a file of the keystore]. With
+        `gitignore`, for a keystore that a user keeps, a `.gitignore` leaves its secrets out of git.
 
         ExistsError if a keystore is there already: CA keys are never overwritten. UsageError for
         domains that stacks read differently.
@@ -99,7 +101,8 @@ class Keystore:
             enclaves.public(layout.GOVERNANCE, signed)
             beside = transaction.folder(".", private=False)
             beside.public(layout.SETTINGS, settings)
-            beside.public(GITIGNORE, keystore_ignored(root))
+            if gitignore:
+                beside.public(GITIGNORE, keystore_ignored(root))
             transaction.record(
                 *authorities.entries(now), document_entry("governance", "", signed, now)
             )

@@ -86,8 +86,8 @@ def adoptable(root: Path, *, now: datetime) -> Adoptable:
     )
 
 
-def adopt(root: Path, *, now: datetime) -> Adopted:
-    """Make the folder `root` a pqsec keystore.
+def adopt(root: Path, *, gitignore: bool = False, now: datetime) -> Adopted:
+    """Make the folder `root` a pqsec keystore; with `gitignore` as `Keystore.create`.
 
     ExistsError if it is one, KeystoreError if it lacks the CAs' certificates or the
     governance. A participant's faulty files are reported in `refused`, and not entered in the
@@ -97,7 +97,7 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
     with change(root) as transaction:
         _refuse_unfit(root)
         keystore, scan, fitting = _scanned(root, now)
-        _stage(transaction, keystore, scan)
+        _stage(transaction, keystore, scan, gitignore=gitignore)
     return Adopted(
         keystore=keystore,
         participants=list(scan.participants.values()),
@@ -116,11 +116,14 @@ def _scanned(root: Path, now: datetime) -> tuple[Keystore, KeystoreScan, bool]:
     return replace(keystore, domains=scan.domains), scan, profile is not None
 
 
-def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> None:
+def _stage(
+    transaction: Transaction, keystore: Keystore, scan: KeystoreScan, *, gitignore: bool
+) -> None:
     root = keystore.root
     settings = transaction.folder(".", private=False)
     settings.public(layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
-    settings.public(GITIGNORE, keystore_ignored(root))
+    if gitignore:
+        settings.public(GITIGNORE, keystore_ignored(root))
     if not (root / layout.PRIVATE).exists():
         transaction.folder(layout.PRIVATE, private=True)
     public = transaction.folder(layout.PUBLIC, private=False)

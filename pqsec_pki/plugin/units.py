@@ -74,8 +74,8 @@ def write_units(units: Mapping[Path, bytes]) -> None:
     """Write the units. FileError if that fails, or if another user could change them."""
     for path, octets in units.items():
         with _files.disk_errors(path):
-            make_folders(path.parent, 0o755)
             refuse_outsiders([path], "systemd runs what is there", roots=True)
+            make_folders(path.parent, 0o755)
             _files.write(path, octets, force=True)
 
 

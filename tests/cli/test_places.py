@@ -79,14 +79,27 @@ def test_a_folder_above_the_keystore_that_others_can_change_stops_every_change(
 
 
 @pytest.mark.parametrize(
-    "folder", ["public", "enclaves", "private", "enclaves/r1", "private/generations/1"]
+    "folder",
+    ["public", "enclaves", "private", "enclaves/fleet", "enclaves/r1", "private/generations/1"],
 )
 def test_every_folder_of_the_keystore_is_looked_at(pqsec, keystore, folder):
     """Only the root, private/ and the ledger were: a web server's group put an old list back."""
     if "generations" in folder:
         pqsec("-k k ca rotate --apply --yes --no-passphrase").done()
+    pqsec("-k k issue /fleet/r9 --publish rt/a").done()
     (keystore / folder).chmod(0o777)
-    pqsec("-k k renew /r1").refused(3, f"k/{folder}: {WORDS[0]}", hint=f"k/{folder}")
+    for line in ("permit /r1 --publish rt/z --yes", "issue /fleet/r9 --force --publish rt/b"):
+        if folder == "enclaves/fleet" and line.startswith("permit"):
+            continue  # it does not go there
+        if folder == "enclaves/r1" and line.startswith("issue"):
+            continue
+        pqsec(f"-k k {line}").refused(3, f"k/{folder}: {WORDS[0]}", hint=f"k/{folder}")
+
+
+def test_an_open_folder_of_a_participant_that_is_replaced_is_closed(pqsec, keystore):
+    (keystore / "enclaves/r1").chmod(0o777)
+    pqsec("-k k issue /r1 --force --publish rt/a").done()
+    assert (keystore / "enclaves/r1").stat().st_mode & 0o777 == 0o700
 
 
 @pytest.mark.parametrize(

@@ -17,6 +17,9 @@ from pqsec_pki import _owners
 from pqsec_pki._files import read
 from pqsec_pki._places import make_folders, open_place, refuse_obeyed, trusted_files
 from pqsec_pki.errors import FileError
+from pqsec_pki.plugin.agent_folder import AgentFolder
+from pqsec_pki.plugin.units import write_units
+from pqsec_pki.trial.building import cache, is_own
 
 NOBODY = 65534
 CLONE_NEWUSER = 0x10000000
@@ -339,3 +342,32 @@ def test_folders_are_made_for_the_caller_whatever_the_umask(tmp_path, umask):
         "0o755"
     ] * 2
     assert open_place(tmp_path / "a/b/c") is None
+
+
+def test_an_agent_below_a_folder_that_others_can_change_is_refused(tmp_path):
+    """They could put a folder with a socket of theirs in its place."""
+    (tmp_path / "run").mkdir()
+    agent = AgentFolder(tmp_path / "run/pqsec/agent.sock")
+    agent.prepare()
+    (tmp_path / "run").chmod(0o777)
+    with pytest.raises(FileError, match="run: anybody may write there"):
+        agent.prepare()
+
+
+@pytest.mark.parametrize("folder", ["", "pqsec", "pqsec/peers"])
+def test_programs_are_not_run_from_a_cache_below_an_open_folder(tmp_path, monkeypatch, folder):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
+    program = cache() / "program"
+    program.touch(0o700)
+    assert is_own(program)
+    (tmp_path / "cache" / folder).chmod(0o777)
+    assert not is_own(program)
+    with pytest.raises(FileError, match="others may write here"):
+        cache()
+
+
+def test_units_of_systemd_are_not_written_where_others_can_change_them(tmp_path):
+    (tmp_path / "systemd").mkdir()
+    (tmp_path / "systemd").chmod(0o777)
+    with pytest.raises(FileError, match="systemd: anybody may write there; systemd runs"):
+        write_units({tmp_path / "systemd/user/pqsec-agent.service": b""})
