@@ -3,7 +3,7 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pqsec_pki.errors import PqsecError
+from pqsec_pki._libraries import needs_libraries
 
 SUITES, MEETINGS, HOSTS = "suites.svg", "meetings.svg", "hosts.svg"
 MESH_PLOTS = (MEETINGS, HOSTS)
@@ -11,14 +11,8 @@ MESH_PLOTS = (MEETINGS, HOSTS)
 
 def refuse_without_library() -> None:
     """PqsecError if plots cannot be drawn; before anything is measured."""
-    try:
+    with needs_libraries("the library for plots is not installed"):
         import pqsec_pki.benchmark.plots  # noqa: F401, PLC0415 -- an extra of the package
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "matplotlib":
-            raise
-        raise PqsecError(
-            "the library for plots is not installed", hint="pip install 'matplotlib>=3.8'"
-        ) from error
 
 
 def suites_drawn(suites: Sequence[Mapping[str, Any]]) -> dict[str, bytes]:

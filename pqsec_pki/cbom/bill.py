@@ -6,7 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.errors import PqsecError
+from pqsec_pki._libraries import needs_libraries
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,15 +36,8 @@ def bill_of(paths: Iterable[Path], *, now: datetime, timestamp: datetime | None 
     its serial number, which is derived from the content. FileError if a path does not exist;
     PqsecError if the library for CycloneDX is not installed.
     """
-    try:
+    with needs_libraries("the library for CycloneDX is not installed"):
         from pqsec_pki.cbom import _document, _reading  # noqa: PLC0415 -- an extra of the package
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] != "cyclonedx":
-            raise
-        raise PqsecError(
-            "the library for CycloneDX is not installed",
-            hint="pip install 'cyclonedx-python-lib>=11.6,<12'",
-        ) from error
     named = tuple(paths)
     assets, unread = _reading.read_assets(named, now)
     subject = ", ".join(

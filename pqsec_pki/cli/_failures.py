@@ -34,8 +34,11 @@ def print_usage_error(error: click.ClickException, *, as_json: bool) -> None:
     command = context.command_path if context else "pqsec"
     is_group = context is None or isinstance(context.command, click.Group)
     what = "lists its commands" if is_group else "shows its arguments and options"
-    message = " ".join(error.format_message().split())  # click lists choices below each other
     hint = f"`{command} --help` {what}"
+    if isinstance(error, click.NoSuchOption) and error.option_name == "--force":
+        error = click.NoSuchOption(error.option_name, ctx=context)  # proposes none for it
+        hint = f"this command replaces nothing: remove what is in its way; {hint}"
+    message = " ".join(error.format_message().split())  # click lists choices below each other
     if as_json:
         _print_json((Problem(message),), error.exit_code, hint)
     else:

@@ -13,7 +13,7 @@ from pqsec_pki.errors import PqsecError, UsageError
 if TYPE_CHECKING:
     from pqsec_pki.est import Obtained, ServerTrust
 
-EXTRA = "enrol"
+NEEDS = "enrolment over a network needs the library {library}, which is not installed"
 
 fingerprints_option = click.option(
     "--ca-fingerprint",
@@ -54,6 +54,7 @@ _OPTIONS: tuple[Callable[[_settings.Command], _settings.Command], ...] = (
 def server_trust(server_pins: Iterable[str], server_ca: Path | None) -> "ServerTrust | None":
     """The trust of the options; None without them. UsageError for both, or for no SHA-256."""
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for --help
+    from pqsec_pki._places import refuse_obeyed  # noqa: PLC0415 -- likewise
     from pqsec_pki.est import ServerTrust, server_pin  # noqa: PLC0415 -- a library of an extra
 
     pins = frozenset(map(server_pin, server_pins))
@@ -61,7 +62,10 @@ def server_trust(server_pins: Iterable[str], server_ca: Path | None) -> "ServerT
         raise UsageError("--server-pin and --server-ca exclude each other")
     if not (pins or server_ca):
         return None
-    return ServerTrust(pins, read(server_ca) if server_ca else b"")
+    if server_ca is None:
+        return ServerTrust(pins, b"")
+    refuse_obeyed([server_ca], "which server is trusted")
+    return ServerTrust(pins, read(server_ca))
 
 
 def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:

@@ -191,10 +191,15 @@ def note_open(path: Path) -> None:
 
 
 def first_line(path: Path) -> bytes:
-    """The first line of the file, without its line end. PassphraseError if it is empty."""
+    """The first line of the file, without its line end.
+
+    PassphraseError if it is empty; FileError if another user could change it.
+    """
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for every command
+    from pqsec_pki._places import refuse_obeyed  # noqa: PLC0415 -- likewise
 
     note_open(path)
+    refuse_obeyed([path], "the passphrase")
     passphrase = read(path, limit=MAX_FILE).split(b"\n", 1)[0].rstrip(b"\r")
     if not passphrase:
         raise PassphraseError(f"{path}: the first line is empty, and must be the passphrase")

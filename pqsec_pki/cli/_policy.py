@@ -8,10 +8,13 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files, documents
+from pqsec_pki._places import refuse_obeyed
 from pqsec_pki.cli import _printing, _settings
 from pqsec_pki.documents import DomainSet, Grant, lasting, ros
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.lifecycle import ParticipantSpec
+
+_SIGNED = "what the CAs sign"
 
 
 def output_options(command: _settings.Command) -> _settings.Command:
@@ -61,6 +64,7 @@ _ENCLAVE_HINT = (
 
 def names_in(policy: Path, *, now: datetime) -> tuple[str, ...]:
     """The names that the policy has grants for. UsageError if there is none but `/`."""
+    refuse_obeyed([policy], _SIGNED)
     if policy.suffix == ".xml":
         found = [enclave.path for enclave in documents.sros2.read_policy(policy)]
     else:
@@ -102,8 +106,10 @@ def note_ros_names(grants: Iterable[Grant]) -> None:
 def grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant, ...]:
     """All grants; an SROS2 policy's are completed by what ROS 2 nodes need to start.
 
-    SROS2 policies have no domains or validity: those of `spec` are used.
+    SROS2 policies have no domains or validity: those of `spec` are used. FileError if another user
+    could change the policy.
     """
+    refuse_obeyed([policy], _SIGNED)
     if policy.suffix == ".xml":
         not_before, not_after = lasting(now, spec.validity)
         enclaves = documents.sros2.read_policy(policy)

@@ -6,10 +6,11 @@ from datetime import timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pqsec_pki._libraries import needs_libraries
 from pqsec_pki.cli import _network, _passphrases, _settings
 from pqsec_pki.enrolment import Pins
 from pqsec_pki.errors import UsageError
-from pqsec_pki.est import checked_url, needs_extra
+from pqsec_pki.est import checked_url
 
 if TYPE_CHECKING:
     from pqsec_pki.est import KnownServer, ServerTrust
@@ -41,7 +42,7 @@ def renew_from(  # noqa: PLR0913 -- what the command line says
     """Renew the participants in `folder`, and print what became of them."""
     if rekey is False:
         raise UsageError("--keep-key is for a keystore, and excludes --from")
-    with needs_extra(_network.EXTRA):
+    with needs_libraries(_network.NEEDS):
         from pqsec_pki import est  # noqa: PLC0415 -- a library of an extra
 
         known = _known(url, folder, _network.server_trust(*server))

@@ -26,11 +26,11 @@ def adopt(folder: Path | None) -> None:
     """Turn a keystore of SROS2 or OpenSSL into a pqsec keystore, and check it.
 
     DIR has the layout of an SROS2 keystore; without it, the keystore of -k. Existing files
-    do not change: pqsec.json and the ledger are added. The findings of the check are
+    do not change: pqsec.json, the ledger and a .gitignore are added. The findings of the check are
     printed, and do not change the exit code.
     """
     now = _settings.now()
-    found = adopt_folder(folder or _settings.keystore_path(), now=now)
+    found = adopt_folder(folder or _settings.keystore_path(), gitignore=True, now=now)
     report = check((found.keystore.root,), now=now)
     _printing.emit(
         {

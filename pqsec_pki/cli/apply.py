@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._places import refuse_obeyed, trusted_files
 from pqsec_pki._progress import stage
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
@@ -149,6 +150,9 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         click.get_current_context().exit(1)
 
 
+_SIGNED = "what the CAs sign"
+
+
 @dataclass(frozen=True, slots=True)
 class _Wanted:
     """The changes to make."""
@@ -187,12 +191,22 @@ def _wanted(  # noqa: PLR0913 -- the options of the command
 def _of_domain(
     file: Path, part: SigningCa | None, *, check: bool, prune: bool, new_keys: bool
 ) -> _Wanted:
-    desired, now = read_domain(file), _settings.now()
+    desired, now = _read(file, check=check), _settings.now()
     keystore = Keystore.find(_settings.keystore_path(), to_change=not check)
     found = plan_steps(desired, keystore, now=now, prune=prune, new_keys=new_keys, only=part)
     if keystore and not check:
         refuse_unapproved(desired, keystore, found, now=now)
     return _Wanted(desired, keystore, found)
+
+
+def _read(file: Path, *, check: bool) -> Desired:
+    """The domain file; FileError if another user could change what the CAs will sign."""
+    if check:
+        return read_domain(file)
+    with trusted_files(_SIGNED):
+        desired = read_domain(file)
+    refuse_obeyed(desired.request_files, _SIGNED)
+    return desired
 
 
 def _made(

@@ -163,6 +163,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             passphrase=_passphrases.new(passphrase_file, none=no_passphrase) if in_files else None,
             keys=keys,
             ledger=LedgerAddress.parse(ledger) if ledger else None,
+            gitignore=True,
             now=_settings.now(),
         )
     if no_passphrase and in_files:

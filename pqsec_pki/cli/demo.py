@@ -54,6 +54,7 @@ def demo(folder: Path | None, profile_name: str) -> None:
         domains=domains,
         validity=10 * _YEAR,
         passphrase=None,
+        gitignore=True,
         now=now,
     )
     specs = [

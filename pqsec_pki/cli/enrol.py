@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import click
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._libraries import needs_libraries
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.cli import _help, _key_uris, _network, _passphrases, _settings
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import Pins, pins_of
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.est import EnrolmentToken, checked_url, needs_extra
+from pqsec_pki.est import EnrolmentToken, checked_url
 
 if TYPE_CHECKING:
     from pqsec_pki.est import EstClient, ServerTrust
@@ -126,7 +127,7 @@ def enrol(  # noqa: PLR0913 -- one for each option, by name
     the server gives the same answer.
     """
     asked = _asked(url, names, token_file, profile_name, pins_of(fingerprints) or None)
-    with needs_extra(_network.EXTRA):
+    with needs_libraries(_network.NEEDS):
         from pqsec_pki import est  # noqa: PLC0415 -- a library of an extra
 
         trust = _network.server_trust(server_pins, server_ca) or _token_trust(asked.token)
@@ -182,9 +183,11 @@ def _asked(
 
 def _token(file: Path) -> EnrolmentToken:
     from pqsec_pki._files import read  # noqa: PLC0415 -- not for --help
+    from pqsec_pki._places import refuse_obeyed  # noqa: PLC0415 -- likewise
     from pqsec_pki.est import MAX_TOKEN_FILE  # noqa: PLC0415 -- likewise
 
     _passphrases.note_open(file)
+    refuse_obeyed([file], "which server and CAs are trusted")
     with located(file):
         return EnrolmentToken.from_bytes(read(file, limit=MAX_TOKEN_FILE))
 

@@ -6,14 +6,16 @@ from pathlib import Path
 import click
 
 from pqsec_pki._files import read, refuse_existing, write
+from pqsec_pki._libraries import needs_libraries
+from pqsec_pki._places import refuse_obeyed
 from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.cli import _formats, _help, _printing, _settings
-from pqsec_pki.cli.serve import config_option
+from pqsec_pki.cli import _formats, _help, _network, _printing, _settings
+from pqsec_pki.cli.serve import config_option, trusted_settings
 from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import pins_in_use
 from pqsec_pki.errors import located, shown
-from pqsec_pki.est import EnrolmentToken, needs_extra
+from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.keystore import Keystore, matching
 from pqsec_pki.server import (
     ServerSettings,
@@ -88,7 +90,7 @@ def create(  # noqa: PLR0913 -- one for each option, by name
     secret: its holder can enrol as NAME until it is used up, ends or is revoked. It also has what
     the robot needs to trust the server and the CAs.
     """
-    settings, now = read_settings(file), _settings.now()
+    settings, now = trusted_settings(file), _settings.now()
     refuse_existing(goal, replaceable=False)
     known = read_domain(settings.domain).members
     keystore = Keystore.open(settings.keystore, to_change=True)
@@ -152,12 +154,13 @@ def list_(file: Path, form: str) -> None:
 @_settings.command_options
 def revoke(ids: tuple[str, ...], file: Path) -> None:
     """Revoke tokens. What robots got with them before stays; `pqsec revoke` revokes that."""
-    keystore = Keystore.open(read_settings(file).keystore, to_change=True)
+    keystore = Keystore.open(trusted_settings(file).keystore, to_change=True)
     _print(revoke_tokens(keystore, ids, now=_settings.now()))
 
 
 def _server_pins(settings: ServerSettings) -> frozenset[str]:
-    with needs_extra("serve"):
+    refuse_obeyed((each.chain for each in settings.tls), "which server robots trust")
+    with needs_libraries(_network.NEEDS):
         from pqsec_pki.est import spki_pin  # noqa: PLC0415 -- a library of an extra
 
         found = set()

@@ -119,7 +119,7 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     keystore = _settings.open_keystore(to_change=True)
     keystore.refuse_unapproved(Covered.GROW)
     keys = _requested(keystore, requests, names, patterns) if requests else {}
-    names = tuple(keys) or _matching(keystore, wanted, names)
+    names = tuple(keys) or _matching(keystore, wanted, names, after_revocation)
     _refuse_one_key(names, requests)
     into = (folder or Path()) if requests and not certificate_only else None
     domain_set = keystore.domains if domains is None else DomainSet.parse(domains)
@@ -247,14 +247,17 @@ def _policy_names(wanted: ParticipantOptions) -> tuple[str, ...]:
 
 
 def _matching(
-    keystore: Keystore, wanted: ParticipantOptions, names: tuple[str, ...]
+    keystore: Keystore,
+    wanted: ParticipantOptions,
+    names: tuple[str, ...],
+    revoked_too: bool,  # noqa: FBT001 -- of the command
 ) -> tuple[str, ...]:
     """The names; for a pattern or group those in the policy, or else in the keystore."""
     if not any(map(is_several, names)):
         return names
     if wanted.policy:
         return tuple(named(keystore, names, wanted.policy_names, where=f"in {wanted.policy}"))
-    return tuple(admitted(keystore, names))
+    return tuple(admitted(keystore, names, revoked_too=revoked_too))
 
 
 def _warn(governance: Governance, specs: list[ParticipantSpec]) -> None:

@@ -185,7 +185,10 @@ def status(folder: Path | None) -> int:
         for each in found:
             yield f"{'FAIL' if each.problem else 'ok  '}  {each.title:<16}  {where(each)}"
             if each.problem:
-                yield f"      {each.problem}: `pqsec plugin install {each.stack}`"
+                yield f"      {each.problem}: {each.remedy or install(each)}"
+
+    def install(each: InstalledPlugin) -> str:
+        return f"`pqsec plugin install {each.stack}`"
 
     def where(each: InstalledPlugin) -> str:
         return str(each.library or each.file)

@@ -6,6 +6,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
+from pqsec_pki._places import refuse_obeyed, trusted_files
 from pqsec_pki.algorithms import PublicKey, public_key_from_pem
 from pqsec_pki.approvals import Covered, RegistrationGrant
 from pqsec_pki.cli import _formats, _help, _passphrases, _printing, _settings
@@ -147,7 +148,7 @@ def add(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         authority=name,
         key=_public_key(key),
         names=patterns,
-        roles=roles_in(read_domain(file), roles),
+        roles=_granted(file, roles),
         begins=start,
         ends=start + validity,
         longest=longest,
@@ -234,8 +235,15 @@ def revoke(names: tuple[str, ...], passphrase_file: Path | None) -> None:
 
 
 def _public_key(path: Path) -> PublicKey:
+    refuse_obeyed([path], "whose orders are obeyed")
     with located(path):
         return public_key_from_pem(_files.read(path), str(path))
+
+
+def _granted(file: Path, roles: tuple[str, ...]) -> dict[str, object]:
+    """The roles of the domain file; FileError if another user could change them."""
+    with trusted_files("what may be ordered"):
+        return roles_in(read_domain(file), roles)
 
 
 def roles_in(desired: Desired, names: tuple[str, ...]) -> dict[str, object]:

@@ -8,7 +8,7 @@ import click
 
 from pqsec_pki._times import said
 from pqsec_pki.cli import _formats, _help, _printing, _settings
-from pqsec_pki.cli.serve import config_option
+from pqsec_pki.cli.serve import config_option, trusted_settings
 from pqsec_pki.keystore import Entry, Keystore
 from pqsec_pki.server import (
     APPROVAL,
@@ -117,7 +117,7 @@ def refuse(ids: tuple[str, ...], file: Path) -> None:
 
 
 def _decide(ids: tuple[str, ...], file: Path, kind: str) -> None:
-    settings = read_settings(file)
+    settings = trusted_settings(file)
     keystore = Keystore.open(settings.keystore, to_change=True)
     now = _settings.now()
     done = decide(keystore, settings, ids, kind, now=now)

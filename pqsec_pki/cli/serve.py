@@ -4,9 +4,10 @@ from pathlib import Path
 
 import click
 
-from pqsec_pki.cli import _help, _output, _passphrases, _printing, _progress, _settings
-from pqsec_pki.est import needs_extra
-from pqsec_pki.server import begin_server, read_settings
+from pqsec_pki._libraries import needs_libraries
+from pqsec_pki._places import trusted_files
+from pqsec_pki.cli import _help, _network, _output, _passphrases, _printing, _progress, _settings
+from pqsec_pki.server import ServerSettings, begin_server, read_settings
 
 config_option = click.option(
     "--config",
@@ -17,6 +18,12 @@ config_option = click.option(
     metavar="FILE",
     help="Use this configuration of the server.",
 )
+
+
+def trusted_settings(file: Path) -> ServerSettings:
+    """The configuration of the server; FileError if another user could change it."""
+    with trusted_files("what the server does"):
+        return read_settings(file)
 
 
 @_help.command(
@@ -64,13 +71,13 @@ def serve(file: Path, url: str | None, part: str, passphrase_file: Path | None) 
         return
     _progress.stop()
     _output.stay()
-    with needs_extra("serve"):
+    with needs_libraries(_network.NEEDS):
         from pqsec_pki.server import run_both, run_front, run_signer  # noqa: PLC0415 -- of an extra
 
-        settings = read_settings(file)
         if part == "front":
-            run_front(settings)
+            run_front(read_settings(file))
             return
+        settings = trusted_settings(file)
         run = run_both if part == "both" else run_signer
         secret = passphrase_file or settings.passphrase_file
         run(

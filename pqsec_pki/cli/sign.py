@@ -8,6 +8,7 @@ from typing import Any
 import click
 
 from pqsec_pki._files import exists, read, refuse_existing
+from pqsec_pki._places import refuse_obeyed
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.documents import (
     Governance,
@@ -105,6 +106,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
     embed_certificate: bool,
     force: bool,
 ) -> None:
+    refuse_obeyed([file], "what the CA signs")
     document = document_at(file, kind)
     with located(file):
         value = check(document)

@@ -89,6 +89,7 @@ def create_keystore(
         domains=desired.domains,
         validity=desired.ca_validity,
         passphrase=passphrase,
+        gitignore=True,
         now=now,
     )
 

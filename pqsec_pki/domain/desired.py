@@ -138,6 +138,12 @@ class Desired:
     sha256: str
     """SHA-256 of the domain file itself."""
 
+    @property
+    def request_files(self) -> list[Path]:
+        """The files with the keys of participants, without orders, which are signed."""
+        found = [each.request for each in self.members.values() if not each.by_order]
+        return [each for each in found if each is not None]
+
     @cached_property
     def governance_digest(self) -> str:
         """SHA-256, in hex: it changes when the governance does."""

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pqsec_pki import _drafts
 from pqsec_pki._locks import lock, unshared
-from pqsec_pki._owners import outsider, way_out
+from pqsec_pki._places import make_folders
 from pqsec_pki.errors import KeystoreError
 
 DRAFT = ".draft-"
@@ -22,10 +22,7 @@ versions also made drafts of two files."""
 
 def make_private(folder: Path) -> None:
     """Create `folder` and missing parents, mode 0700; an existing folder stays as it is."""
-    for each in (*reversed(folder.parents), folder):
-        if not each.is_dir():
-            each.mkdir(mode=_PRIVATE_FOLDER)
-            each.chmod(_PRIVATE_FOLDER)
+    make_folders(folder, _PRIVATE_FOLDER)
 
 
 @contextmanager
@@ -40,27 +37,6 @@ def locked(root: Path) -> Iterator[None]:
         raise KeystoreError(f"{root}: another pqsec command is using this folder") from None
     finally:
         os.close(handle)
-
-
-def refuse_outsiders(root: Path) -> None:
-    """KeystoreError unless only the caller can change the folder, as with sshd's StrictModes.
-
-    The folders above must be the caller's or root's. A user who can write in one of them could
-    rename this folder and put a link or another folder in its place, except in a sticky
-    folder such as /tmp. Links on the path are checked too. Later code may then use paths.
-    """
-    given, real = root.absolute(), Path(os.path.realpath(root))
-    for path in dict.fromkeys((*given.parents, given, *real.parents, real)):
-        try:
-            found = path.lstat()
-        except FileNotFoundError:
-            continue
-        above = path != real
-        if who := outsider(found, roots=above, sticky=above):
-            raise KeystoreError(
-                f"{path}: {who}; a user who can write there could change this robot's credentials",
-                hint=f"{way_out(found, str(path))}; or choose another --dir",
-            )
 
 
 def sweep(root: Path) -> None:

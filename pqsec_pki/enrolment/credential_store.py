@@ -33,8 +33,9 @@ from pqsec_pki._files import (
     sync_folder,
     walk,
 )
+from pqsec_pki._places import refuse_outsiders
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS, PROOF
-from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, refuse_outsiders, sweep
+from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, sweep
 from pqsec_pki.enrolment.bundle import flat_name, name_of
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, MalformedError, located, other_format
@@ -44,6 +45,8 @@ CURRENT, SETS, REQUESTS = "current", "sets", "requests"
 RECORD = "installed.json"
 RECEIPT = "installed.receipt"
 TRUST = "trust.json"
+_OWN = (SETS, REQUESTS, CURRENT, TRUST, "bundle.key.pem", "server.json")
+"""The store's own files: the folder may contain files of others."""
 FORMAT = 1
 _NUMBER = re.compile("[1-9][0-9]{0,8}")
 
@@ -255,10 +258,10 @@ def changing(root: Path) -> Iterator[CredentialStore]:
 
     A folder created for it is removed if nothing was stored. FileError if the disk refuses.
     KeystoreError if another process has the lock, or if another user could change or replace
-    the folder.
+    the folder or what is in it.
     """
     with disk_errors(root):
-        refuse_outsiders(root)
+        _refuse_outsiders(root)
         new = not root.exists()
         make_private(root)
         try:
@@ -275,6 +278,15 @@ def changing(root: Path) -> Iterator[CredentialStore]:
                 with suppress(OSError):  # it is not empty
                     root.rmdir()
             raise
+
+
+def _refuse_outsiders(root: Path) -> None:
+    refuse_outsiders(
+        (root, *(root / each for each in _OWN)),
+        "a user who can write there could change this robot's credentials",
+        instead="or choose another --dir",
+        error=KeystoreError,
+    )
 
 
 @contextmanager

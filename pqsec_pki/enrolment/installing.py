@@ -106,7 +106,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         found = _verified(bundle, trusted, now, proofs=proofs)
         newer = replace(raised(state, found.credentials, trusted), proofs=proofs)
         if not older:
-            _refuse_older(found.credentials, newer)
+            _refuse_older(found.credentials, newer, _instead(state, trusted, root))
         made = NextSet.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
         answered = {name: made.enclaves[name] for name in bundle.names}
@@ -194,7 +194,15 @@ def _verified(bundle: Bundle, pins: Pins, now: datetime, *, proofs: bool) -> Ver
         raise
 
 
-def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> None:
+def _instead(before: TrustState | None, pins: Pins, root: Path) -> str:
+    """What to do with older credentials: those of other CAs may be another domain's."""
+    trusted = frozenset[str]().union(*(before.pins if before else pins).values())
+    if trusted.isdisjoint(frozenset[str]().union(*pins.values())):
+        return f"{root} has credentials of other CAs: name another --dir for another domain"
+    return "--older installs it anyway"
+
+
+def _refuse_older(credentials: Collection[Credentials], state: TrustState, hint: str) -> None:
     """VerificationError for credentials older than `state`: protection against rollback.
 
     An old bundle could restore withdrawn rights or accept revoked peers, as could an older file
@@ -202,7 +210,7 @@ def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> No
     """
     problems = [problem for each in credentials for problem in state.marks.problems(each)]
     if problems:
-        raise VerificationError(*dict.fromkeys(problems), hint="--older installs it anyway")
+        raise VerificationError(*dict.fromkeys(problems), hint=hint)
 
 
 def _result(

@@ -2,7 +2,7 @@
 
 TLS for both sides (`tls.py`, the only user of pyOpenSSL, which is an extra of the package), and
 the file with a robot's enrolment token (`token_file.py`). A module that uses TLS is imported in
-`needs_extra`, which says how to get the library.
+`needs_libraries`, which says how to get the library.
 """
 
 from typing import TYPE_CHECKING
@@ -11,7 +11,6 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.est.client import EstClient, ServerAnswer
-    from pqsec_pki.est.extra import needs_extra
     from pqsec_pki.est.known_server import KnownServer
     from pqsec_pki.est.linking import verify_est_request
     from pqsec_pki.est.messages import certs_only, from_base64, request_attributes, to_base64
@@ -102,7 +101,6 @@ __all__ = [
     "enrol",
     "from_base64",
     "is_secret",
-    "needs_extra",
     "peer_certificate",
     "peer_chain",
     "refuse_classical",

@@ -7,6 +7,7 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
+from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
@@ -119,6 +120,12 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
             pin=terms.pin,
         )
     except VerificationError as error:
+        if any(each.code is Code.OLDER for each in error.problems):
+            error.hint = (
+                "if it is of another domain, name another --dir; else `pqsec bundle` on the CA"
+                f" machine makes a bundle, and `pqsec install BUNDLE --older --dir"
+                f" {quote(str(root))}` installs it"
+            )
         if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
             error.hint = (
                 f"the time is {said(now)} here, and {said(answer.date)} at the server:"

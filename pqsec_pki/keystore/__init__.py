@@ -36,6 +36,8 @@ The ledger:
     _entries      the lines for what is issued and signed
 Changes:
     _folder       access to folders by descriptor, never through a link
+    _gitignore    keeps what is secret out of git
+    _outsiders    refuses a keystore that another user could change
     _lock         one command at a time
     _transaction  the files and lines of a change, before it is committed
     _journal      commits a change wholly or not at all
@@ -71,6 +73,7 @@ if TYPE_CHECKING:
         placed_entry,
     )
     from pqsec_pki.keystore._fetched_files import signed_document
+    from pqsec_pki.keystore._gitignore import GITIGNORE, keystore_ignored, secrets_ignored
     from pqsec_pki.keystore._journal import change, resume
     from pqsec_pki.keystore._ledger import Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
@@ -160,6 +163,7 @@ else:
 __all__ = [
     "APPROVAL",
     "GENERATIONS",
+    "GITIGNORE",
     "GROUP",
     "GROUP_NAME",
     "ORDER",
@@ -220,6 +224,7 @@ __all__ = [
     "is_several",
     "key_algorithms",
     "key_hashes",
+    "keystore_ignored",
     "layout",
     "lines_since",
     "list_entry",
@@ -250,6 +255,7 @@ __all__ = [
     "resume",
     "robot_states",
     "schema_sql",
+    "secrets_ignored",
     "settings_file",
     "signed_document",
     "signed_governance",

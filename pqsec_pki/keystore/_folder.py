@@ -18,6 +18,7 @@ from pqsec_pki._owners import outsider, way_out
 from pqsec_pki.errors import KeystoreError
 
 _OPEN = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
+OTHERS = "anyone who may write there can change what pqsec does"
 _FOLDER_MODE = 0o755
 """Only the owner may write in a new folder, whatever the umask."""
 
@@ -85,14 +86,26 @@ class Folder:
 
     def refuse_outsiders(self) -> None:
         """KeystoreError if another user owns the folder or may write in it."""
-        refuse_outsiders(os.fstat(self.handle), self.path)
+        _refuse(os.fstat(self.handle), self.handle, self.path)
+
+    def refuse_outsiders_of(self, place: str) -> int | None:
+        """The file type bits at `place`, as of `kind`.
+
+        KeystoreError if another user owns the file or folder there, or may write there.
+        """
+        try:
+            found = os.lstat(place, dir_fd=self.handle)
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        path = f"{self.path}/{place}".removesuffix("/.")
+        _refuse(found, f"/proc/self/fd/{self.handle}/{place}", path)
+        return stat.S_IFMT(found.st_mode)
 
 
-def refuse_outsiders(found: os.stat_result, path: str) -> None:
-    """KeystoreError if another user owns `path` or may write there; `found` is its stat."""
-    if who := outsider(found):
-        words = f"{path}: {who}; anyone who may write there can change what pqsec does"
-        raise KeystoreError(words, hint=way_out(found, path))
+def _refuse(found: os.stat_result, place: str | int, path: str) -> None:
+    """KeystoreError if another user owns what is at `place`, or may write there."""
+    if who := outsider(found, place):
+        raise KeystoreError(f"{path}: {who}; {OTHERS}", hint=way_out(found, path))
 
 
 def parts(place: str) -> list[str]:

@@ -29,6 +29,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki import _drafts
 from pqsec_pki._files import disk_errors, sync_filesystem
+from pqsec_pki._places import make_folders
 from pqsec_pki.errors import FileError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
 from pqsec_pki.keystore._address import LedgerAddress
@@ -38,6 +39,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
+from pqsec_pki.keystore._outsiders import refuse_open_keystore
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN, SETTINGS
@@ -62,7 +64,8 @@ def change(
     FileError for a disk error. The lines go into the database at `address`, if it is given.
     """
     with _disk_errors(root):
-        root.mkdir(mode=0o755, parents=True, exist_ok=True)
+        refuse_open_keystore(root)
+        make_folders(root, 0o755)
         with locked(root) as folder:
             _settle(folder)
             _sweep(folder)
@@ -163,9 +166,10 @@ def resume(root: Path) -> bool:
 
 
 def check(root: Path) -> None:
-    """KeystoreError if another user owns the keystore or may write there."""
+    """KeystoreError if another user could change the keystore, or a folder above it."""
     with disk_errors(root), Folder.opened(root) as folder:
         folder.refuse_outsiders()
+        refuse_open_keystore(root)
 
 
 def refuse_interrupted(root: Path) -> None:

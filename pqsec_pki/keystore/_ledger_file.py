@@ -17,7 +17,7 @@ from pqsec_pki._files import PRIVATE_MODE, create
 from pqsec_pki.errors import FileError, KeystoreError, TooLargeError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry, details_text
-from pqsec_pki.keystore._folder import Folder, refuse_outsiders, should_be
+from pqsec_pki.keystore._folder import Folder, should_be
 
 MAX_SIZE = 512 << 20
 """Bytes; about 400,000 participants, each renewed once. SQLite takes 1 GiB into memory."""
@@ -100,9 +100,7 @@ def version(private: Folder) -> tuple[int, ...]:
 def check(private: Folder) -> None:
     """KeystoreError or PermissionError if the ledger could not be replaced."""
     private.refuse_outsiders()
-    with suppress(FileNotFoundError):
-        found = os.lstat(layout.LEDGER, dir_fd=private.handle)
-        refuse_outsiders(found, f"{private.path}/{layout.LEDGER}")
+    private.refuse_outsiders_of(layout.LEDGER)
     if not os.access(".", os.W_OK, dir_fd=private.handle):
         raise PermissionError(13, "Permission denied", f"{private.path}/{layout.LEDGER}")
 

@@ -15,6 +15,7 @@ from pathlib import Path
 from pqsec_pki._locks import lock, unshared
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._outsiders import refuse_open_keystore
 
 PATIENCE = 30.0
 """Seconds to wait for another command to finish with the keystore."""
@@ -36,13 +37,14 @@ _held = _Held()
 def locked(root: Path) -> Iterator[Folder]:
     """Lock the keystore at `root` for changes; this thread may hold the lock already.
 
-    KeystoreError if another process locks it for half a minute, or another user owns it or
-    may write there.
+    KeystoreError if another process locks it for half a minute, or another user could change it or
+    a folder above it.
     """
     this = (os.getpid(), root)
     if this in _held.roots:
         yield _held.roots[this]
         return
+    refuse_open_keystore(root)
     with Folder.opened(root) as folder, unshared(folder.handle):
         folder.refuse_outsiders()
         _lock(folder, fcntl.LOCK_EX)

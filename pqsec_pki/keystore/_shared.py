@@ -11,10 +11,12 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pqsec_pki._libraries import LIBRARIES
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _settings, layout
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._outsiders import refuse_open_root
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -39,7 +41,7 @@ def connected(address: LedgerAddress) -> "PostgresLedger":
     except ImportError:
         raise KeystoreError(
             f"{address.place}: the library for PostgreSQL is not installed",
-            hint="install pqsec with its extra: pip install 'pqsec[postgres]'",
+            hint=LIBRARIES["psycopg"].hint,
         ) from None
     return PostgresLedger(address)
 
@@ -54,6 +56,7 @@ def reading(root: Path, folder: Folder) -> "Iterator[PostgresLedger | None]":
         yield open_one
     elif address := _settings.read_ledger(root / layout.SETTINGS):
         folder.refuse_outsiders()
+        refuse_open_root(root)
         with _connection(root, address) as connection:
             yield connection
     else:

@@ -100,6 +100,7 @@ class Transaction:
     def folder(self, target: str, *, private: bool) -> StagedFolder:
         """Stage an empty folder that will become, or be merged into, `target`."""
         refuse_detours(self.root, [target])
+        _refuse_open(self.root, target, closes=private)
         name = str(len(self.targets))
         os.mkdir(name, dir_fd=self.made.handle)
         staged = StagedFolder(self.made.handle, name)
@@ -264,11 +265,25 @@ def refuse_detours(root: Folder, targets: Iterable[str]) -> None:
 
     It reports this before the commit; the moves themselves use descriptors and follow no link.
     """
-    places = set(targets)
-    for target in targets:
-        above = target
-        while (above := os.path.dirname(above)) and above not in places:
-            places.add(above)
-    for place in sorted(places):
+    for place in _with_folders_above(targets):
         if root.kind(place or ".") not in {None, stat.S_IFDIR}:
             raise should_be(f"{root.path}/{place}", "folder")
+
+
+def _refuse_open(root: Folder, target: str, *, closes: bool) -> None:
+    """KeystoreError if another user could change the target, or a folder above it.
+
+    The target itself may be open if the change closes it, and replaces what is in it.
+    """
+    for place in _with_folders_above([target]):
+        if not (closes and place == target):
+            root.refuse_outsiders_of(place or ".")
+
+
+def _with_folders_above(targets: Iterable[str]) -> list[str]:
+    """The targets and the folders above them in the keystore, from the top."""
+    places = set(targets)
+    for above in tuple(places):
+        while (above := os.path.dirname(above)) and above not in places:
+            places.add(above)
+    return sorted(places)

@@ -35,6 +35,7 @@ from pqsec_pki.keystore._chain import Entry, Line
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
+from pqsec_pki.keystore._gitignore import GITIGNORE, keystore_ignored
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, unlock
 from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, read_ca_key
@@ -81,12 +82,14 @@ class Keystore:
         passphrase: bytes | None,
         keys: Mapping[str, PrivateKey] | None = None,
         ledger: LedgerAddress | None = None,
+        gitignore: bool = False,
         now: datetime,
     ) -> Self:
         """Create two CAs and a signed default governance in the folder `root`.
 
         `keys` are CA keys that are there already, by the names of their files: see `made_keys`.
-        The ledger begins in the database at `ledger` [default: in a file of the keystore].
+        The ledger begins in the database at `ledger` [default: in a file of the keystore]. With
+        `gitignore`, for a keystore that a user keeps, a `.gitignore` leaves its secrets out of git.
 
         ExistsError if a keystore is there already: CA keys are never overwritten. UsageError for
         domains that stacks read differently.
@@ -107,7 +110,10 @@ class Keystore:
             enclaves = transaction.folder(layout.ENCLAVES, private=False)
             enclaves.public(layout.GOVERNANCE_XML, governance)
             enclaves.public(layout.GOVERNANCE, signed)
-            transaction.folder(".", private=False).public(layout.SETTINGS, settings)
+            beside = transaction.folder(".", private=False)
+            beside.public(layout.SETTINGS, settings)
+            if gitignore:
+                beside.public(GITIGNORE, keystore_ignored(root))
             transaction.record(
                 *authorities.entries(now), document_entry("governance", "", signed, now)
             )

@@ -25,9 +25,11 @@ from pqsec_pki.errors import (
     located,
 )
 from pqsec_pki.keystore import (
+    GITIGNORE,
     Keystore,
     Transaction,
     change,
+    keystore_ignored,
     layout,
     load_certificate,
     load_first_certificate,
@@ -86,8 +88,8 @@ def adoptable(root: Path, *, now: datetime) -> Adoptable:
     )
 
 
-def adopt(root: Path, *, now: datetime) -> Adopted:
-    """Make the folder `root` a pqsec keystore.
+def adopt(root: Path, *, gitignore: bool = False, now: datetime) -> Adopted:
+    """Make the folder `root` a pqsec keystore; with `gitignore` as `Keystore.create`.
 
     If an earlier call was killed or met a full disk after its commit, this finishes it.
     ExistsError if it is one, KeystoreError if it lacks the CAs' certificates or the
@@ -101,7 +103,7 @@ def adopt(root: Path, *, now: datetime) -> Adopted:
     with change(root) as transaction:
         _refuse_unfit(root)
         keystore, scan, fitting = _scanned(root, now)
-        _stage(transaction, keystore, scan)
+        _stage(transaction, keystore, scan, gitignore=gitignore)
     return _adopted(keystore, scan, fitting=fitting)
 
 
@@ -130,10 +132,14 @@ def _scanned(root: Path, now: datetime) -> tuple[Keystore, KeystoreScan, bool]:
     return replace(keystore, domains=scan.domains), scan, profile is not None
 
 
-def _stage(transaction: Transaction, keystore: Keystore, scan: KeystoreScan) -> None:
+def _stage(
+    transaction: Transaction, keystore: Keystore, scan: KeystoreScan, *, gitignore: bool
+) -> None:
     root = keystore.root
     settings = transaction.folder(".", private=False)
     settings.public(layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
+    if gitignore:
+        settings.public(GITIGNORE, keystore_ignored(root))
     if not (root / layout.PRIVATE).exists():
         transaction.folder(layout.PRIVATE, private=True)
     public = transaction.folder(layout.PUBLIC, private=False)

@@ -13,6 +13,7 @@ from pqsec_pki.lint.document import Document, Documents, same_lines
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.profile import profile_file_of
 from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder, Inventory
+from pqsec_pki.stacks import Stack
 
 _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
 
@@ -51,7 +52,9 @@ def take_inventory(
     documents_of = Documents()
     all_xml = [documents_of.of(file) for file in files if _is_document(file, search)]
     profiles = {each.path: found for each in all_xml if (found := profile_file_of(each))}
-    documents = tuple(each for each in all_xml if each.path not in profiles)
+    documents = tuple(
+        each for each in all_xml if not (each.path in profiles or _is_configuration(each))
+    )
     certificates = tuple(CertificateFile(file) for file in files if "CERTIFICATE" in file.labels)
     subjects: dict[File, Document | CertificateFile] = {each.file: each for each in certificates}
     subjects |= {each.file: each for each in documents}
@@ -77,6 +80,16 @@ def _is_document(file: File, search: Search) -> bool:
     if file.looks_like_document or _DOCUMENT.fullmatch(file.path.name):
         return True
     return not file.labels and file.path in search.named  # the user named it as a document
+
+
+def _is_configuration(document: Document) -> bool:
+    """Whether it is a configuration of Cyclone DDS, as `export` writes: its root has that name.
+
+    A file with the name of a document must be one.
+    """
+    root, name = document.root, document.path.name
+    is_of_stack = root is not None and root.tag.rpartition("}")[2].lower() == Stack.CYCLONEDDS
+    return is_of_stack and not _DOCUMENT.fullmatch(name)
 
 
 def _is_copy(document: Document, by_path: Mapping[Path, Document]) -> bool:

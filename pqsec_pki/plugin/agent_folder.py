@@ -14,12 +14,14 @@ from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
+from pqsec_pki._places import refuse_outsiders
 from pqsec_pki.errors import FileError
 
 _OTHERS = 0o077
 _WRITABLE = 0o022
 """Permission bits that let other users write."""
 _RUN_USER = Path("/run/user")
+_INSTEAD = "if another user made it, set HOME or XDG_RUNTIME_DIR to folders of your own"
 _MAX_FOLDER = 85
 """Octets. A socket's path has at most 108 with its NUL, and a file's name here up to 22."""
 
@@ -71,7 +73,7 @@ class AgentFolder:
         self.is_there()
 
     def is_there(self) -> bool:
-        """Whether the folder exists; FileError if other users own it or may enter it.
+        """Whether the folder exists; FileError if other users own it, may enter or replace it.
 
         In /tmp, anyone can create a folder of that name, with a socket and a log in it.
         """
@@ -80,8 +82,10 @@ class AgentFolder:
         if not _is_own_folder(self.folder, _OTHERS):
             raise FileError(
                 f"{self.folder} is not a folder of this user's alone",
-                hint="if another user made it, set HOME or XDG_RUNTIME_DIR to folders of your own",
+                hint=_INSTEAD,
             )
+        words = "anyone who may write there can answer in place of the agent"
+        refuse_outsiders([self.folder], words, instead=_INSTEAD)
         return True
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from pqsec_pki import _files
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._owners import outsider, way_out
-from pqsec_pki.errors import FileError, PqsecError
+from pqsec_pki._places import make_folders, refuse_outsiders
+from pqsec_pki.errors import PqsecError
 from pqsec_pki.plugin.units import planned_units, write_units
 
 LIBRARY = "libpqsec_dds.so"
@@ -79,15 +79,12 @@ def build(folder: Path, *, units: Path | None = None, force: bool = False) -> Bu
 def make_folder(folder: Path) -> None:
     """Make the folder of the plugin if it is missing; OSError if that fails.
 
-    FileError if another user, other than root, could change what DDS processes load from it.
+    FileError if another user, other than root, could change it or a folder above it.
     """
-    folder.mkdir(mode=_MODE, parents=True, exist_ok=True)
-    found = folder.stat()
-    if who := outsider(found, roots=True):
-        raise FileError(
-            f"{folder}: {who}; anyone who may write there can change what DDS processes load",
-            hint=way_out(found, str(folder)),
-        )
+    words = "anyone who may write there can change what DDS processes load"
+    refuse_outsiders([folder], words, roots=True)
+    make_folders(folder, _MODE)
+    refuse_outsiders([folder], words, roots=True)
 
 
 def compiler() -> str:

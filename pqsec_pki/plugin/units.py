@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from pqsec_pki import _files
+from pqsec_pki._places import make_folders, refuse_outsiders
 from pqsec_pki.errors import FileError
 
 NAME = "pqsec-agent"
@@ -70,10 +71,11 @@ def planned_units(folder: Path, *, force: bool) -> dict[Path, bytes]:
 
 
 def write_units(units: Mapping[Path, bytes]) -> None:
-    """Write the units. FileError if that fails."""
+    """Write the units. FileError if that fails, or if another user could change them."""
     for path, octets in units.items():
         with _files.disk_errors(path):
-            path.parent.mkdir(parents=True, exist_ok=True)
+            refuse_outsiders([path], "systemd runs what is there", roots=True)
+            make_folders(path.parent, 0o755)
             _files.write(path, octets, force=True)
 
 

@@ -91,13 +91,13 @@ def fleet_in(
     with CurrentFiles.of(keystore) if compared else nullcontext() as current:
         if current:
             current.refuse_others_of_all()
-        return _fleet_of(keystore, now, reading, anchors or keystore.anchors, current)
+        return _fleet_of(keystore, now, readings, anchors or keystore.anchors, current)
 
 
 def _fleet_of(
     keystore: Keystore,
     now: datetime,
-    reading: Interpretation,
+    readings: tuple[Interpretation, ...],
     anchors: TrustAnchors,
     current: CurrentFiles | None,
 ) -> Fleet:

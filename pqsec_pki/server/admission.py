@@ -251,8 +251,9 @@ class Admission:
         if not (self.policy.renew_any_time or held.state.calls_for_renewal):
             raise NotAdmittedError(
                 403,
-                f"its certificate is not due: it ends {said(held.not_after)}; the server renews"
-                " earlier with `renew: any-time` in serve.yaml",
+                f"its certificate is not due: it ends {said(held.not_after)}, and it is"
+                f" {said(self.now)} at the server; if the robot's clock says another time, set it;"
+                " else the server renews earlier with `renew: any-time` in serve.yaml",
             )
 
     def _refuse_wider(

@@ -12,6 +12,7 @@ from pqsec_pki.algorithms import DEFAULT_PROFILE, private_key_pem
 from pqsec_pki.certificates import Authority
 from pqsec_pki.errors import UsageError
 from pqsec_pki.est import checked_url
+from pqsec_pki.keystore import GITIGNORE, secrets_ignored
 
 _PAIRS = {
     "tls-pq": DEFAULT_PROFILE.alternative_key,
@@ -28,6 +29,8 @@ _LOOPBACK = {"127.0.0.1", "localhost"}
 
 def begin_server(url: str, config: Path, keystore: Path, *, now: datetime) -> list[Path]:
     """Write a configuration for the server with that URL; returns the files.
+
+    A `.gitignore` beside them, which may be there, keeps keys and tokens out of git.
 
     ExistsError if one of them exists; UsageError for an invalid URL.
     """
@@ -49,5 +52,7 @@ def begin_server(url: str, config: Path, keystore: Path, *, now: datetime) -> li
     template = Template(asset("templates", "serve.yaml").read_text("utf-8"))
     place = os.path.relpath(keystore, config.parent)
     text = template.substitute(url=checked_url(url), address=address, port=port, keystore=place)
+    ignored = secrets_ignored(config.parent, "/state/")
+    write(config.parent / GITIGNORE, ignored, force=True)
     write(config, text.encode())
     return goals

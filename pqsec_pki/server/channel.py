@@ -1,4 +1,4 @@
-"""Connections of clients: TLS, their number, their memory and the time of each (Twisted).
+"""Connections of clients: their number, their memory and the time of each, TLS (Twisted).
 
 The reactor waits for all connections at once, so one that sends nothing takes memory, and no
 thread; it is closed when its time is over, whatever it sends by then. If connections or memory
@@ -17,6 +17,7 @@ from twisted.internet.interfaces import (
     IOpenSSLServerConnectionCreator,
 )
 from twisted.internet.protocol import Protocol
+from twisted.protocols.policies import WrappingFactory
 from twisted.protocols.tls import TLSMemoryBIOFactory
 from twisted.web.http import HTTPChannel, HTTPFactory, Request
 from zope.interface import implementer
@@ -24,6 +25,7 @@ from zope.interface import implementer
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.est import peer_certificate, peer_chain, refuse_classical
 from pqsec_pki.server.addresses import key_of
+from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Connections, Shares
 
 _REFUSALS = {
@@ -208,6 +210,11 @@ class Channels(HTTPFactory):
         self.connections, self.kept = connections, Shares()
         self.most, self.answer, self.count = most, answer, count
 
+    def use(self, limits: ServerLimits) -> None:
+        """Apply these limits from now on."""
+        self.seconds, self.buffered = limits.seconds, limits.buffered
+        self.connections.use(limits)
+
     def buildProtocol(self, addr: IAddress | None) -> Protocol | None:  # noqa: N802
         """The channel of a client with that address."""
         made = super().buildProtocol(addr)
@@ -224,38 +231,31 @@ class Channels(HTTPFactory):
         """Write nothing: the code that answers writes the log."""
 
 
-class TlsChannels(TLSMemoryBIOFactory):
-    """Channels below TLS, as many as are allowed."""
+class CountedChannels(WrappingFactory):
+    """Channels, as many as are allowed."""
 
-    def __init__(
-        self,
-        context: Callable[[], SSL.Context],
-        channels: Channels,
-        reactor: Any,
-    ) -> None:
-        self._connections, self._count = channels.connections, channels.count
-        self.channels = channels
-        super().__init__(_Contexts(context), isClient=False, wrappedFactory=channels, clock=reactor)
+    channels: Channels
 
     def buildProtocol(self, addr: IAddress | None) -> Protocol | None:  # noqa: N802
         """The connection's protocol; None closes it."""
         address = key_of(str(getattr(addr, "host", "")))
-        if not self._connections.admits(address):
-            self._count("too-many")
+        if not self.channels.connections.admits(address):
+            self.channels.count("too-many")
             return None
         if not self.has_room():
             return None
-        self._count("connections")
-        made = super().buildProtocol(addr)
-        self._connections.opened(made, address)
+        self.channels.count("connections")
+        made: Protocol = super().buildProtocol(addr)
+        self.channels.connections.opened(made, address)
         return made
 
     def has_room(self) -> bool:
         """Whether one more may be open, after one was closed for it if need be."""
-        if self._connections.total < self._connections.limits.connections:
+        connections = self.channels.connections
+        if connections.total < connections.limits.connections:
             return True
-        found = self._connections.to_close()
-        self._count("too-many" if found is None else "closed-for-others")
+        found = connections.to_close()
+        self.channels.count("too-many" if found is None else "closed-for-others")
         if found is not None:
             found.abortConnection()
         return found is not None
@@ -263,7 +263,27 @@ class TlsChannels(TLSMemoryBIOFactory):
     def unregisterProtocol(self, p: Any) -> None:  # noqa: N802
         """One connection less."""
         super().unregisterProtocol(p)
-        self._connections.closed(p)
+        self.channels.connections.closed(p)
+
+
+class PlainChannels(CountedChannels):
+    """Channels without TLS, for an address of the machine itself."""
+
+    def __init__(self, channels: Channels) -> None:
+        self.channels = channels
+        super().__init__(channels)
+
+
+class TlsChannels(CountedChannels, TLSMemoryBIOFactory):
+    """Channels below TLS."""
+
+    def __init__(
+        self, context: Callable[[], SSL.Context], channels: Channels, reactor: Any
+    ) -> None:
+        self.channels = channels
+        TLSMemoryBIOFactory.__init__(
+            self, _Contexts(context), isClient=False, wrappedFactory=channels, clock=reactor
+        )
 
 
 @implementer(IOpenSSLServerConnectionCreator)

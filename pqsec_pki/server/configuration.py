@@ -10,7 +10,7 @@ Paths are relative to its folder. Errors name the file and the line.
 
 import re
 from collections.abc import Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
@@ -86,6 +86,15 @@ class ServerLimits:
     """Octets of all requests that are not complete."""
     waiting: int = 500
     """Requests that wait until somebody decides."""
+
+    @property
+    def of_status(self) -> "ServerLimits":
+        """Those of the status address: the same, but ten times as many requests of an address.
+
+        All checks of one machine come from one; they go on where robots may ask rarely.
+        """
+        most = 10 * max(self.requests_of_address, ServerLimits().requests_of_address)
+        return replace(self, requests_of_address=most)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,6 +3,7 @@
 import os
 import resource
 import signal
+from collections.abc import Callable
 from contextlib import suppress
 from socket import socket
 from typing import Any
@@ -16,13 +17,14 @@ from pqsec_pki.errors import PqsecError, located
 from pqsec_pki.est import TlsIdentity, server_context
 from pqsec_pki.server.asking import SignerCalls
 from pqsec_pki.server.balancing import ClientsOfBalancers
-from pqsec_pki.server.channel import Channels, TlsChannels
-from pqsec_pki.server.configuration import ServerSettings, read_settings
+from pqsec_pki.server.channel import Channels, LimitedRequest, PlainChannels, TlsChannels
+from pqsec_pki.server.configuration import ServerLimits, ServerSettings, read_settings
 from pqsec_pki.server.events import log
 from pqsec_pki.server.front import Front
 from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.metrics import StatusPages
 from pqsec_pki.server.running import bound, end_with_signer, given_sockets, notify, stay
+from pqsec_pki.server.state_folder import refuse_open_front
 
 reactor: Any = _reactor
 _GRACE = 5.0
@@ -43,22 +45,32 @@ class Listening:
 
     def __init__(self, settings: ServerSettings) -> None:
         self._settings, self._context = settings, tls_context(settings)
+        self.front = Front(SignerCalls(reactor, settings.socket), settings.limits, log)
         limits = settings.limits
-        self.front = Front(SignerCalls(reactor, settings.socket), limits, log)
-        self.connections = Connections(limits)
-        self._channels = Channels(
-            reactor,
-            seconds=limits.seconds,
-            classical=settings.classical,
-            buffered=limits.buffered,
-            connections=self.connections,
-            most=self.front.most,
-            answer=self.front.answer,
-            count=self.front.count,
-        )
+        self._channels = self._made(limits, self.front.answer, self.front.count)
+        self._pages = StatusPages(self.front, self._channels.connections)
+        self._status = self._made(limits.of_status, self._pages.answer, self._pages.count)
         tls = TlsChannels(lambda: self._context, self._channels, reactor)
         self._clients = ClientsOfBalancers(tls, settings.proxy_from, log)
         self._ports: list[Any] = []
+
+    def _made(
+        self,
+        limits: ServerLimits,
+        answer: Callable[[LimitedRequest], None],
+        count: Callable[[str], None],
+    ) -> Channels:
+        """Channels with these limits, for one kind of clients."""
+        return Channels(
+            reactor,
+            seconds=limits.seconds,
+            classical=self._settings.classical,
+            buffered=limits.buffered,
+            connections=Connections(limits),
+            most=self.front.most,
+            answer=answer,
+            count=count,
+        )
 
     def run(self) -> None:
         """Answer until SIGTERM."""
@@ -70,8 +82,7 @@ class Listening:
         for each in sockets:
             self._ports.append(_adopted(each, self._clients))
         if settings.status:
-            pages = StatusPages(self.front, self.connections)
-            self._ports.append(_adopted(bound(settings.status), pages))
+            self._ports.append(_adopted(bound(settings.status), PlainChannels(self._status)))
         for number, handler in ((signal.SIGTERM, self._stop), (signal.SIGHUP, self._reload)):
             signal.signal(number, lambda *_, call=handler: reactor.callFromThread(call))
         signal.signal(signal.SIGINT, signal.getsignal(signal.SIGTERM))
@@ -92,11 +103,11 @@ class Listening:
         self.front.trouble = ""
         self._context, self._settings = context, found
         self.front.use(found.limits)
-        self._channels.seconds = found.limits.seconds
+        self._channels.use(found.limits)
+        self._status.use(found.limits.of_status)
+        self._pages.use(found.limits.of_status)
         self._channels.classical = found.classical
-        self._channels.buffered = found.limits.buffered
         self._clients.networks = found.proxy_from
-        self.connections.use(found.limits)
         log({"event": "the configuration was read again"})
 
     def _stop(self) -> None:
@@ -115,8 +126,12 @@ class Listening:
 
 
 def run_front(settings: ServerSettings) -> None:
-    """Answer clients until SIGTERM, or until the signer that started this process ends."""
+    """Answer clients until SIGTERM, or until the signer that started this process ends.
+
+    FileError as of `refuse_open_front`.
+    """
     end_with_signer()
+    refuse_open_front(settings)
     Listening(settings).run()
 
 

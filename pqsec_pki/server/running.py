@@ -19,6 +19,7 @@ from functools import partial
 from pathlib import Path
 
 from pqsec_pki._files import FileVersion, noted
+from pqsec_pki._places import refuse_obeyed
 from pqsec_pki._processes import end_with
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
@@ -94,6 +95,7 @@ def _handler(
     with noted(seen):
         desired, factories = read_domain(found.domain), read_factories(found.factories, cas)
         waiting = found.waiting(keystore)  # elsewhere if the ledger is moved
+    refuse_obeyed((found.path, *seen), "what the server issues")
     return CallHandler(
         keystore=keystore,
         authorities=authorities,

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pqsec_pki._files import disk_errors
 from pqsec_pki._locks import lock, unshared
-from pqsec_pki._owners import outsider, way_out
+from pqsec_pki._places import open_place
 from pqsec_pki.errors import FileError
 from pqsec_pki.server.configuration import ServerSettings
 from pqsec_pki.server.signer import give_to
@@ -31,12 +31,32 @@ def make_state(settings: ServerSettings) -> None:
 
 def _own_folder(path: Path, what: str) -> os.stat_result:
     """Make the folder, unless it is there; FileError, with `what`, if others may write there."""
+    _refuse_open(path, what)
     with disk_errors(path):
         path.mkdir(mode=0o700, exist_ok=True)
         found = path.stat()
-    if why := outsider(found, roots=True):
-        raise FileError(f"{path}: {what}: {why}", hint=way_out(found, str(path)))
+    _refuse_open(path, what)
     return found
+
+
+def _refuse_open(path: Path, what: str, owner: int | None = None) -> None:
+    """FileError, with `what`, if another user could change the folder, or one above it."""
+    if found := open_place(path, roots=True, owner=owner):
+        raise FileError(f"{found.path}: {what}: {found.who}", hint=found.remedy)
+
+
+def refuse_open_front(settings: ServerSettings) -> None:
+    """FileError if others could listen in place of the signer, or give the server another key.
+
+    For the process that faces the network, which would send them tokens. The signer's user owns the
+    state folder, or makes it in a folder of its own.
+    """
+    with disk_errors(settings.state):
+        there = settings.state if settings.state.exists() else settings.state.parent
+        owner = there.stat().st_uid
+    _refuse_open(settings.state, "the signer cannot be reached there", owner)
+    for path in (file for each in settings.tls for file in (each.chain, each.key)):
+        _refuse_open(path, "it cannot be the server's", owner)
 
 
 @contextmanager

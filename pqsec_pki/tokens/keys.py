@@ -5,6 +5,7 @@ from contextlib import contextmanager, suppress
 from types import ModuleType
 from typing import NamedTuple
 
+from pqsec_pki._libraries import needs_libraries
 from pqsec_pki.algorithms import (
     ExternalKey,
     PrivateKey,
@@ -122,13 +123,6 @@ def _found(uri: str, algorithm: SignatureAlgorithm, pin: Pin) -> ExternalKey | N
 
 def _pkcs11() -> ModuleType:
     """The module that uses tokens; PqsecError if its library is not installed."""
-    try:
+    with needs_libraries("keys in tokens need the library {library}"):
         from pqsec_pki.tokens import _pkcs11  # noqa: PLC0415 -- its library is an extra
-    except ModuleNotFoundError as error:
-        if (error.name or "").partition(".")[0] not in {"pkcs11", "asn1crypto"}:
-            raise
-        raise PqsecError(
-            "keys in tokens need the library python-pkcs11",
-            hint="install pqsec with its extra: pip install 'pqsec[hsm]'",
-        ) from error
     return _pkcs11

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pqsec_pki._files import read
+from pqsec_pki._places import refuse_obeyed
 from pqsec_pki.errors import PassphraseError
 
 Pin = Callable[[str], str]
@@ -25,7 +26,11 @@ def stored_pin(token: str) -> str:
 
 
 def pin_in(path: Path) -> str:
-    """The PIN in the first line of a file; PassphraseError if there is none."""
+    """The PIN in the first line of a file.
+
+    PassphraseError if there is none; FileError if another user could change it.
+    """
+    refuse_obeyed([path], "the PIN")
     line = read(path, limit=MAX_FILE).split(b"\n", 1)[0].rstrip(b"\r")
     try:
         pin = line.decode()

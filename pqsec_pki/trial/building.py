@@ -13,6 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from pqsec_pki._files import disk_errors
+from pqsec_pki._places import make_folders, open_place
 from pqsec_pki.errors import FileError, PqsecError, shown
 from pqsec_pki.trial.installation import MACHINE, Installation
 from pqsec_pki.vendors import read_library
@@ -68,7 +69,7 @@ def cache() -> Path:
     found = cache_path()
     with disk_errors(found):
         for place in (found.parent, found):
-            place.mkdir(mode=0o700, parents=True, exist_ok=True)
+            make_folders(place, 0o700)
             _refuse_shared(place)
     return found
 
@@ -99,8 +100,7 @@ def is_own(path: Path) -> bool:
         found = path.lstat()
     except FileNotFoundError:
         return False
-    mine = found.st_uid == os.geteuid() and not stat.S_ISLNK(found.st_mode)
-    return mine and not found.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+    return not stat.S_ISLNK(found.st_mode) and open_place(path) is None
 
 
 def _digest(installation: Installation) -> str:

@@ -10,6 +10,7 @@ from dataclasses import replace
 from datetime import datetime
 from pathlib import Path, PurePosixPath
 
+from pqsec_pki._places import refuse_outsiders
 from pqsec_pki.credentials import KEY, REVOCATION_LIST
 from pqsec_pki.errors import FileError, PqsecError, VerificationError
 from pqsec_pki.lint import Finding, Severity
@@ -36,7 +37,7 @@ _ANY_DOMAIN, _CANDIDATE = 0, bytes(16)
 
 
 def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
-    """FileError unless the plugin is in `folder`, by these names."""
+    """FileError unless the plugin is in `folder`, by these names, and nobody else can change it."""
     if missing := [name for name in names if not _is_file(folder / name)]:
         stack = {PRELOAD: " fastdds", OPENDDS: " opendds"}.get(missing[0], "")
         command = f"pqsec plugin install{stack}"
@@ -44,6 +45,8 @@ def refuse_missing(folder: Path, names: Iterable[str] = (LIBRARY,)) -> None:
             f"the plugin is not installed: {folder} has no {missing[0]}",
             hint=f"`{command}` installs it; --plugins names another folder",
         )
+    words = "anyone who may write there can change what DDS processes load"
+    refuse_outsiders((folder / name for name in names), words, roots=True)
 
 
 def folder_in(variables: Mapping[str, str]) -> Path | None:

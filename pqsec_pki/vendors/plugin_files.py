@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
+from pqsec_pki._places import open_place
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors.cyclone_plugins import in_words
@@ -26,7 +28,9 @@ class InstalledPlugin:
     library: Path | None = None
     """The library of the stack that it was compiled for; None if it is for any."""
     problem: str = ""
-    """Why it does not run in that library; empty if it does."""
+    """Why it does not run in that library, or should not; empty if it does."""
+    remedy: str = ""
+    """How to fix it, if it is not by another installation."""
 
     def to_json(self) -> dict[str, object]:
         """The plugin for --json."""
@@ -43,7 +47,16 @@ class InstalledPlugin:
 def installed_plugins(folder: Path) -> list[InstalledPlugin]:
     """The plugins in `folder`; FileError if it cannot be read."""
     with disk_errors(folder):
-        return list(_installed(folder))
+        found = list(_installed(folder))
+    return [_guarded(each) for each in found]
+
+
+def _guarded(plugin: InstalledPlugin) -> InstalledPlugin:
+    """The same, with the problem that another user could change the file, if so."""
+    if plugin.problem or not (found := open_place(plugin.file, roots=True)):
+        return plugin
+    words = f"{found.path}: {found.who}; anyone who may write there can change what processes load"
+    return replace(plugin, problem=words, remedy=found.remedy)
 
 
 def _installed(folder: Path) -> Iterator[InstalledPlugin]:

@@ -97,8 +97,8 @@ def test_modes_hold_under_any_umask(pqsec, tmp_path):
         pqsec("-k k ca init --no-passphrase").done()
     finally:
         os.umask(before)
-    folders = {"private": 0o700, "public": 0o755, "enclaves": 0o755, "pqsec.json": 0o644}
-    assert modes(tmp_path / "k") == folders
+    folders = {"private": 0o700, "public": 0o755, "enclaves": 0o755}
+    assert modes(tmp_path / "k") == folders | {"pqsec.json": 0o644, ".gitignore": 0o644}
     assert set(modes(tmp_path / "k/private").values()) == {0o600}
     assert modes(tmp_path / "k/private")["ledger.sqlite3"] == 0o600
     keys = {k: v for k, v in modes(tmp_path / "k/private").items() if k.endswith(".pem")}

@@ -19,6 +19,7 @@ JUSTIFIED = {
     " certificate and permissions": "the user named a participant that is there",
     "to admit it again, issue it with --force --after-revocation": IF_WANTED,
     "to admit it again: `pqsec issue` with --force --after-revocation": IF_WANTED,
+    "to admit them again, with new rights: `* --force --after-revocation`": IF_WANTED,
     "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
     "remove it from the file, or run `pqsec issue {} --validity {} --force --after-revocation`, and"
     " apply it again": IF_WANTED,

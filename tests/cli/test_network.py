@@ -243,7 +243,7 @@ def test_without_the_library_the_way_to_it_is_told(process, tmp_path, line):
     (tmp_path / "OpenSSL.py").write_text("raise ModuleNotFoundError(name='OpenSSL')")
     path = os.pathsep.join([str(tmp_path), *filter(None, [os.environ.get("PYTHONPATH")])])
     process(line, PYTHONPATH=path).refused(
-        3, "needs the library OpenSSL", hint="pip install 'pqsec[enrol]'"
+        3, "needs the library pyOpenSSL", hint="pip install 'pyopenssl>=26.4,<27'"
     )
 
 

@@ -30,7 +30,8 @@ END
 BLOCKS
 token() {
     as_signer enrolment-token create /r$1 --config /etc/pqsec/serve.yaml -o /var/lib/pqsec/$1
-    mv /var/lib/pqsec/$1 /shared/$1.token
+    install -m 0600 /var/lib/pqsec/$1 /shared/$1.token  # as on the robot, where it is root's
+    rm /var/lib/pqsec/$1
 }
 enrol() { pqsec enrol --token-file /shared/$1.token --dir /shared/robot$1; }
 rights() { grep -E '^(Uid|Gid|CapEff|NoNewPrivs|Seccomp):' /proc/$1/status; }

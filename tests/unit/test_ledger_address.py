@@ -112,7 +112,7 @@ def test_a_service_that_says_nothing_about_tls_gets_no_unencrypted_word(tmp_path
     assert "PGSSLMODE" not in os.environ
 
 
-def test_without_psycopg_it_is_said_which_extra_is_missing(tmp_path, monkeypatch):
+def test_without_psycopg_the_missing_library_is_named(tmp_path, monkeypatch):
     for name in ("psycopg", "pqsec_pki.keystore._postgres"):
         monkeypatch.setitem(sys.modules, name, None)
     data = settings_file(
@@ -122,7 +122,7 @@ def test_without_psycopg_it_is_said_which_extra_is_missing(tmp_path, monkeypatch
     (tmp_path / "private").mkdir(mode=0o700)
     with pytest.raises(KeystoreError, match="is not installed") as refusal:
         Keystore.open(tmp_path).lines()
-    assert "pqsec[postgres]" in refusal.value.hint
+    assert refusal.value.hint == "pip install 'psycopg[binary]>=3.2,<4'"
 
 
 @pytest.mark.parametrize(

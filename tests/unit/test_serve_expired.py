@@ -5,6 +5,7 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.domain import apply, read_domain
@@ -72,6 +73,16 @@ class Office(Scene):
 @pytest.fixture
 def office(tmp_path):
     return Office(tmp_path)
+
+
+def test_a_robot_whose_clock_is_ahead_is_told_the_servers_time(office):
+    """It was sent to an option of the server, whose clock was right."""
+    shown = office.certificate()
+    when = shown.not_before + 30 * DAY
+    call = SignerCall(kind=CallKind.REENROL, certificate=shown.der, body=office.new("r1").der)
+    [answer] = replace(office.handler(window=30 * DAY), clock=lambda: when).answers([call])
+    assert answer.status == 403
+    assert f"it is {said(when)} at the server; if the robot's clock says another" in answer.detail
 
 
 EXPIRED = 403, "its certificate expired: it needs a new enrolment token"

@@ -175,3 +175,47 @@ def test_a_second_server_by_mistake_leaves_the_first_its_socket(tmp_path, part):
         assert (done.returncode, "another server uses this folder" in done.stderr) == (3, True)
         robot = Robot(made, tmp_path / "robot", "/fleet/r1")
         assert made.ask(robot.request, token=made.token("/fleet/r1")).status == 200
+
+
+def test_a_domain_file_that_anybody_may_write_does_not_come_into_force(server, tmp_path):
+    """It was live for the CA: whoever wrote into it got a certificate."""
+    file = server.folder / "robots.csv"
+    file.chmod(0o666)
+    words = "robots.csv: anybody may write there"
+    until(lambda: words in server.page("/readyz", text=True))
+    assert not in_force(server)
+    file.write_text(f"{INVENTORY}/fleet/thief,\n")
+    assert status(server, "/fleet/thief", tmp_path / "a") == 403
+    file.write_text(INVENTORY)
+    file.chmod(0o644)
+    until(lambda: words not in server.page("/readyz", text=True))
+
+
+@pytest.mark.parametrize("name", ["serve.yaml", "domain.yaml", "", "shared"])
+def test_a_server_obeys_no_file_and_uses_no_folder_that_others_can_change(tmp_path, name):
+    """With the folder above they put a socket of theirs where the front sends tokens."""
+    made = Server(tmp_path, datetime.now(UTC), "classical", state="shared/state")
+    (tmp_path / "shared").mkdir()
+    (tmp_path / name).chmod(0o777)
+    done = made.cli("serve", "--config", str(made.config), check=False)
+    assert done.returncode == 3
+    assert f"{(tmp_path / name)}: " in done.stderr
+    assert "anybody may write there" in done.stderr
+
+
+@pytest.mark.parametrize("command", ["serve --part front", "enrolment-token create /fleet/r1 -o t"])
+def test_a_key_of_the_server_that_others_can_replace_is_not_used(tmp_path, command):
+    """Robots would trust the server that has it."""
+    made = Server(tmp_path, datetime.now(UTC), "classical")
+    (tmp_path / "0.pem").chmod(0o666)
+    done = made.cli(*command.split(), "--config", str(made.config), check=False)
+    assert (done.returncode, "0.pem: " in done.stderr) == (3, True)
+    assert "anybody may write there" in done.stderr
+
+
+def test_the_front_does_not_go_to_a_socket_that_others_can_replace(tmp_path):
+    made = Server(tmp_path, datetime.now(UTC), "classical", state="shared/state")
+    (tmp_path / "shared/state").mkdir(parents=True)
+    (tmp_path / "shared").chmod(0o777)
+    done = made.cli("serve", "--config", str(made.config), "--part", "front", check=False)
+    assert (done.returncode, "the signer cannot be reached there" in done.stderr) == (3, True)
