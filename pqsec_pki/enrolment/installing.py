@@ -9,9 +9,6 @@ from shlex import quote
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
-from pqsec_pki.credentials import (
-    Credentials,
-)
 from pqsec_pki.enrolment._installed_trust import raised, trust_state
 from pqsec_pki.enrolment._next_set import NextSet
 from pqsec_pki.enrolment.bundle import Bundle
@@ -24,7 +21,7 @@ from pqsec_pki.enrolment.credential_store import (
 from pqsec_pki.enrolment.requesting import SEALING_KEY
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
-from pqsec_pki.enrolment.trust import Pins, TrustState
+from pqsec_pki.enrolment.trust import Marks, Pins, TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 from pqsec_pki.errors import (
     KeystoreError,
@@ -103,9 +100,9 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         proofs = proofs or bool(state and state.proofs)
         found = _verified(bundle, trusted, now, proofs=proofs)
-        newer = replace(raised(state, found.credentials, trusted), proofs=proofs)
+        newer = replace(raised(state, found.credentials, trusted, found.heads), proofs=proofs)
         if not older:
-            _refuse_older(found.credentials, newer)
+            _refuse_older(found, newer, state)
         made = NextSet.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
         answered = {name: made.enclaves[name] for name in bundle.names}
@@ -193,13 +190,18 @@ def _verified(bundle: Bundle, pins: Pins, now: datetime, *, proofs: bool) -> Ver
         raise
 
 
-def _refuse_older(credentials: Collection[Credentials], state: TrustState) -> None:
-    """VerificationError for credentials older than `state`: protection against rollback.
+def _refuse_older(found: VerifiedBundle, newer: TrustState, state: TrustState | None) -> None:
+    """VerificationError for a bundle older than `newer`: protection against rollback.
 
     An old bundle could restore withdrawn rights or accept revoked peers, as could an older file
-    in one enclave of a new bundle. `state` is the one after its installation.
+    in one enclave of a new bundle, and a copy of the ledger. `newer` is the state after its
+    installation, `state` the one before.
     """
-    problems = [problem for each in credentials for problem in state.marks.problems(each)]
+    problems = [problem for each in found.credentials for problem in newer.marks.problems(each)]
+    seen = state.marks if state else Marks()
+    for each in found.credentials:
+        if each.name in found.heads:
+            problems += seen.head_problems(each, found.heads[each.name])
     if problems:
         raise VerificationError(*dict.fromkeys(problems), hint="--older installs it anyway")
 

@@ -24,7 +24,7 @@ from pqsec_pki.enrolment.trust import Pins, pin_problems, pins_in
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code
 from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
-from pqsec_pki.transparency import LedgerProof
+from pqsec_pki.transparency import LedgerProof, TreeHead
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +35,11 @@ class VerifiedBundle:
     verified: tuple[VerifiedCredentials, ...]
     proofs: Mapping[str, LedgerProof]
     """Proofs by participant; a participant may have none."""
+
+    @property
+    def heads(self) -> dict[str, TreeHead]:
+        """The signed head of the ledger in each proof, by participant."""
+        return {name: each.checkpoint.head for name, each in self.proofs.items()}
 
     @property
     def files(self) -> dict[str, dict[str, bytes]]:

@@ -46,6 +46,7 @@ Questions:
     status_report        the states of participants, CAs, revocation list and governance
     overview             the CAs, profile, domains and participants
     overlap              whether two identity CAs are trusted, and which of them issues
+    signing_clock        whether the clock can be right when something is signed
     compromised          finds keys that were revoked as compromised
     anchoring            signed heads that are kept in another place
     auditing             whether the ledger is intact
@@ -129,11 +130,13 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.shared_requests import RequestRow, SharedRequests
+    from pqsec_pki.keystore.signing_clock import CLOCK_SKEW, was_ahead
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
         ParticipantState,
         State,
+        current_certificate,
         participant_states,
     )
     from pqsec_pki.keystore.status_report import (
@@ -150,6 +153,7 @@ else:
 
 __all__ = [
     "APPROVAL",
+    "CLOCK_SKEW",
     "GENERATIONS",
     "GROUP",
     "GROUP_NAME",
@@ -197,6 +201,7 @@ __all__ = [
     "check_pair",
     "checked_head",
     "compromised_keys_in",
+    "current_certificate",
     "document_entry",
     "enclave_files",
     "enrolled_by",
@@ -243,5 +248,6 @@ __all__ = [
     "status",
     "trust_entry",
     "trust_file",
+    "was_ahead",
     "write_anchor",
 ]

@@ -156,6 +156,13 @@ class Ledger:
         """The entries of that kind and name, oldest first."""
         return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
 
+    def last_of(self, *kinds: str) -> Entry | None:
+        """The newest entry of these kinds; None if there is none."""
+        marks = ", ".join("?" for _ in kinds)
+        # The + keeps SQLite from the index of kinds, by which it would sort all their lines.
+        found = self._find(f"+kind IN ({marks}) ORDER BY number DESC LIMIT 1", *kinds)
+        return next(iter(found), None)
+
     def count(self, kind: str, name: str) -> int:
         """The number of lines of that kind and name."""
         return self._number("SELECT count(*) FROM ledger WHERE kind = ? AND name = ?", kind, name)

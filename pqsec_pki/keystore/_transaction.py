@@ -5,7 +5,7 @@ Anything that would make a later step fail is refused here, before the keystore 
 
 import os
 import stat
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import field, replace
 from pathlib import Path
@@ -82,6 +82,16 @@ class Transaction:
     """Whether the ledger may be missing when the lines are written."""
     authorities: "Authorities | None" = None
     """The CAs that sign the ledger's next head, if their keys are at hand."""
+    clock_was_checked: bool = False
+
+    @property
+    def number(self) -> int:
+        """The sequence number of what this change signs: that of its first ledger line.
+
+        Each change adds lines, so a later one signs with a larger number, whatever clocks say.
+        """
+        with self._ledger() as ledger:
+            return ledger.size + 1
 
     def refuse_lines(self) -> None:
         """ExistsError if the database has lines already: a keystore begins its own ledger."""
@@ -135,14 +145,26 @@ class Transaction:
     def record(self, *entries: Entry) -> None:
         """Add entries for the ledger, written with the change.
 
-        KeystoreError if the ledger cannot be written; UsageError as of `operator`.
+        KeystoreError if the ledger cannot be written, or something is signed with a clock that
+        cannot be right; UsageError as of `operator`.
         """
         if not (self.entries or self.database):
             # A keystore has a ledger; a keystore that is being adopted has none.
             self.begins_ledger = self.root.kind(layout.SETTINGS) is None
             _check_ledger(self.root, begin=self.begins_ledger)
+        self._refuse_wrong_clock(entries)
         name = operator()
         self.entries += [replace(entry, operator=name) for entry in entries]
+
+    def _refuse_wrong_clock(self, entries: Sequence[Entry]) -> None:
+        """KeystoreError as of `refuse_wrong_clock`, by the time of the first lines of a change."""
+        if self.authorities is None or self.clock_was_checked or not entries:
+            return
+        from pqsec_pki.keystore.signing_clock import refuse_wrong_clock  # noqa: PLC0415 -- it imports authorities
+
+        with self._ledger() as ledger:
+            refuse_wrong_clock(ledger, self.authorities, entries[0].made_at)
+        self.clock_was_checked = True
 
     def sign_head(self) -> None:
         """Stage the head of the ledger with the new lines, if the signers' keys were opened."""

@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
+from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.documents import Governance, Grant, Permissions
 from pqsec_pki.errors import KeystoreError, MissingError, located
 from pqsec_pki.keystore import layout
@@ -179,7 +180,8 @@ def _authorities(
 
 
 def _shared(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
-    state = State.at(now, entry.made_at, entry.ends, due)
+    begin = entry.made_at - BACKDATE if entry.kind == "crl" else entry.made_at
+    state = State.at(now, entry.made_at, entry.ends, due, begin=begin)
     return SharedStatus(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
 
 

@@ -48,7 +48,7 @@ def sign_permissions(
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
-        signer = _Signer(keystore, authorities, inspector, now)
+        signer = _Signer(keystore, authorities, inspector, transaction.number, now)
         transaction.record(*shared_out(signer.sign_permissions, names, specs, folders))
 
 
@@ -65,9 +65,9 @@ def sign_governance(
     `config_digest` is copied into the ledger.
     """
     document = governance.to_xml()
-    signed = authorities.sign(document, now=now)
     with change(keystore.root, authorities) as transaction:
         refuse_growth(keystore, lambda: [changed_protection(keystore, governance)])
+        signed = authorities.sign(document, number=transaction.number, now=now)
         enclaves = transaction.folder(layout.ENCLAVES, private=False)
         enclaves.public(layout.GOVERNANCE_XML, document)
         enclaves.public(layout.GOVERNANCE, signed)
@@ -103,9 +103,11 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     If `goal` is a document of the keystore, its XML file is replaced in the same change.
     ExistsError if `goal` exists, unless `force`; then nothing is entered.
     """
-    signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
+        signed = authorities.sign(
+            document, number=transaction.number, now=now, embed_certificate=embed_certificate
+        )
         transaction.record(document_entry(kind.value, str(goal), signed, now))
         place = layout.document_folder(keystore.root, kind.value, goal)
         if place is None:
@@ -124,6 +126,7 @@ class _Signer:
     keystore: Keystore
     authorities: Authorities
     inspector: Inspector
+    number: int
     now: datetime
 
     def sign_permissions(self, name: str, spec: ParticipantSpec, folder: StagedFolder) -> Entry:
@@ -135,6 +138,7 @@ class _Signer:
             self.authorities,
             name,
             permissions_for(spec, certificate),
+            number=self.number,
             now=self.now,
             subject=certificate.subject_name,
             config_digest=spec.config_digest,
