@@ -19,6 +19,7 @@ from pqsec_pki.enrolment.credential_store import (
     changing,
 )
 from pqsec_pki.enrolment.requesting import SEALING_KEY
+from pqsec_pki.enrolment.robot_clock import future_problems, verification_time
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.enrolment.trust import Marks, Pins, TrustState
@@ -29,6 +30,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
+from pqsec_pki.problems import Problem
 from pqsec_pki.tokens import Pin, stored_pin
 
 MAX_FILE = MAX_ARCHIVE + (64 << 10)
@@ -50,6 +52,8 @@ class Installed:
     """The bundle's number, if it has one."""
     receipt: Path
     """The receipt, which shows the machine with the CAs what is installed."""
+    future: tuple[Problem, ...] = ()
+    """What is of the future by the clock of this robot, which is wrong, or the CA's was."""
 
     def to_json(self) -> dict[str, object]:
         """The result for --json."""
@@ -60,6 +64,7 @@ class Installed:
             "already": self.already,
             "bundle": self.bundle,
             "receipt": self.receipt,
+            "future": list(map(str, self.future)),
         }
 
 
@@ -99,7 +104,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         state = trust_state(store, before, needed=not (pins and older))
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         proofs = proofs or bool(state and state.proofs)
-        found = _verified(bundle, trusted, now, proofs=proofs)
+        found = _verified(bundle, trusted, before, now, proofs=proofs)
         newer = replace(raised(state, found.credentials, trusted, found.heads), proofs=proofs)
         if not older:
             _refuse_older(found, newer, state)
@@ -107,7 +112,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         already = made.put(store, newer, now)
         answered = {name: made.enclaves[name] for name in bundle.names}
         store.tidy(answered)  # also removes what a killed installation left
-        return _result(found, store, bundle, already=already)
+        return _result(found, store, bundle, already=already, now=now)
 
 
 def require_trust(root: Path, pins: Pins | None = None) -> None:
@@ -179,9 +184,12 @@ def _no_cas() -> UsageError:
     )
 
 
-def _verified(bundle: Bundle, pins: Pins, now: datetime, *, proofs: bool) -> VerifiedBundle:
+def _verified(
+    bundle: Bundle, pins: Pins, before: InstalledSet | None, now: datetime, *, proofs: bool
+) -> VerifiedBundle:
+    at = verification_time(bundle.credentials, before, now)
     try:
-        return verify_bundle(bundle, pins, now=now, proof_demanded=proofs)
+        return verify_bundle(bundle, pins, now=at, proof_demanded=proofs)
     except VerificationError as error:
         error.hint = error.hint or (
             "`pqsec bundle` on the CA machine creates a new bundle; if anything expired, run"
@@ -207,8 +215,14 @@ def _refuse_older(found: VerifiedBundle, newer: TrustState, state: TrustState | 
 
 
 def _result(
-    found: VerifiedBundle, store: CredentialStore, bundle: Bundle, *, already: bool
+    found: VerifiedBundle,
+    store: CredentialStore,
+    bundle: Bundle,
+    *,
+    already: bool,
+    now: datetime,
 ) -> Installed:
+    future = (problem for each in found.credentials for problem in future_problems(each, now))
     return Installed(
         names=tuple(each.name for each in found.verified),
         not_after=min(each.certificate.not_after for each in found.verified),
@@ -216,4 +230,5 @@ def _result(
         already=already,
         bundle=bundle.number,
         receipt=store.receipt,
+        future=tuple(dict.fromkeys(future)),
     )

@@ -11,7 +11,6 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import (
     ALT_KEY,
     KEY,
-    KEYS,
     PROOF,
     Credentials,
     VerifiedCredentials,
@@ -59,10 +58,7 @@ def verify_bundle(
     be left out. The proof may be missing unless `proof_demanded`. VerificationError lists
     everything that is wrong; MalformedError for a file that cannot be read.
     """
-    found = tuple(
-        Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
-        for name, files in bundle.enclaves.items()
-    )
+    found = bundle.credentials
     problems = [
         problem.of(each.name)
         for each in found

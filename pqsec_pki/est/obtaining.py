@@ -14,19 +14,23 @@ from pqsec_pki._times import said
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, KEY, KEYS, PROOF
-from pqsec_pki.enrolment import REQUEST, Bundle, Pins, changing, install, requests
+from pqsec_pki.enrolment import REQUEST, Bundle, Pins, begin_problems, changing, install, requests
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.est.client import EstClient, ServerAnswer
 from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.paths import PEM_FILE, REQUESTS
 from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.tls import TlsIdentity, is_for_tls
-from pqsec_pki.problems import Code
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.tokens import Pin, is_reference, stored_pin, uri_in
 
 CLOCKS_DIFFER = timedelta(minutes=5)
 """A smaller difference is not reported."""
 
+_OLDER_SERVER = (
+    "the server has less than this robot saw: its keystore is an older copy, or another one:"
+    " restore the newest"
+)
 Enclave = Mapping[str, bytes]
 
 
@@ -97,8 +101,12 @@ def answer_to(client: EstClient, request: bytes, patience: timedelta = timedelta
         time.sleep(wait)
 
 
-def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: datetime) -> None:
+def take(
+    answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: datetime
+) -> tuple[Problem, ...]:
     """Install the bundle in an answer, if it is one for the participant alone, without keys.
+
+    Returns what of it is of the future by the robot's clock.
 
     Errors as of `install`.
     """
@@ -110,7 +118,10 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
             "the server's bundle has private keys, which must be made on this robot"
         )
     try:
-        install(
+        # `install` also works before the clock is set, but here the server knows the time.
+        if early := [each for one in bundle.credentials for each in begin_problems(one, now)]:
+            raise VerificationError(*early)
+        done = install(
             answer.body,
             root,
             terms.pins,
@@ -119,12 +130,15 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
             pin=terms.pin,
         )
     except VerificationError as error:
+        if not error.codes.isdisjoint({Code.OLDER, Code.PROOF_BAD, Code.LIST_MISSING}):
+            error.hint = _OLDER_SERVER
         if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
             error.hint = (
                 f"the time is {said(now)} here, and {said(answer.date)} at the server:"
                 " set the clock, and run the command again"
             )
         raise
+    return done.future
 
 
 def etag(name: str, files: Enclave, *, now: datetime) -> str:
