@@ -118,9 +118,7 @@ def take(
             "the server's bundle has private keys, which must be made on this robot"
         )
     try:
-        # `install` also works before the clock is set, but here the server knows the time.
-        if early := [each for one in bundle.credentials for each in begin_problems(one, now)]:
-            raise VerificationError(*early)
+        _refuse_early(bundle, now)
         done = install(
             answer.body,
             root,
@@ -139,6 +137,13 @@ def take(
             )
         raise
     return done.future
+
+
+def _refuse_early(bundle: Bundle, now: datetime) -> None:
+    """VerificationError for what is not valid yet; `install` alone may do without a right clock,
+    but a server says what time it is."""
+    if early := [each for one in bundle.credentials for each in begin_problems(one, now)]:
+        raise VerificationError(*early)
 
 
 def etag(name: str, files: Enclave, *, now: datetime) -> str:

@@ -58,6 +58,19 @@ def was_ahead(ledger: Ledger, authorities: Authorities, now: datetime) -> bool:
     return min(future) - now > max(future) - min(future)
 
 
+def signed_later(ledger: Ledger, now: datetime) -> Iterator[tuple[str, datetime]]:
+    """What was signed later than `now`, by more than CLOCK_SKEW, and when."""
+    found = {
+        "the ledger's newest line": _SIGNED,
+        "the revocation list": ("crl",),
+        "the governance": ("governance",),
+    }
+    for what, kinds in found.items():
+        newest = ledger.last_of(*kinds)
+        if newest and newest.made_at > now + CLOCK_SKEW:
+            yield what, newest.made_at
+
+
 def _doubts(ledger: Ledger, authorities: Authorities, now: datetime) -> Iterator[str]:
     newest, last_list = ledger.last_of(*_SIGNED), ledger.last_of("crl")
     if newest and newest.made_at > now + CLOCK_SKEW:

@@ -20,6 +20,7 @@ from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.keystore.patterns import nearest
+from pqsec_pki.keystore.signing_clock import signed_later
 from pqsec_pki.keystore.states import ParticipantState, State, participant_states
 from pqsec_pki.smime import document_in
 
@@ -47,12 +48,15 @@ class Status:
     """The most urgent first."""
     head: str
     """The ledger's head when it was read."""
+    future: tuple[tuple[str, datetime], ...] = ()
+    """What was signed later than now, by more than CLOCK_SKEW, as of `signed_later`. This clock is behind, or one was ahead."""
 
     def to_json(self) -> dict[str, object]:
         """The state for --json."""
         return {
             "at": self.at.isoformat(timespec="seconds"),
             "shared": self.shared,
+            "future": dict(self.future),
             "counts": self.counts(),
             "participants": self.participants,
         }
@@ -121,11 +125,12 @@ def status(
         if wanted is not None:
             _refuse_unknown(ledger, wanted, found)
         crl = list_status(keystore, ledger, now=now, due=due)
+        future = tuple(signed_later(ledger, now))
     if comparison and keystore.to_change:
         comparison.save()
     found.sort(key=lambda each: (_URGENCY[each.state], each.not_after, each.name))
     shared = (*_authorities(keystore, now, due), *filter(None, [crl]))
-    return Status(now, shared, tuple(found), head)
+    return Status(now, shared, tuple(found), head, future)
 
 
 def list_status(
