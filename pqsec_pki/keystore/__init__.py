@@ -65,7 +65,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._chain import Entry, Line
     from pqsec_pki.keystore._entries import certificate_entry, document_entry, list_entry
     from pqsec_pki.keystore._journal import change
-    from pqsec_pki.keystore._ledger import Ledger
+    from pqsec_pki.keystore._ledger import ABOVE, Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
     from pqsec_pki.keystore._postgres_schema import schema_sql
     from pqsec_pki.keystore._settings import settings_file
@@ -152,6 +152,7 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "ABOVE",
     "APPROVAL",
     "CLOCK_SKEW",
     "GENERATIONS",

@@ -52,6 +52,8 @@ _CERTIFIED = (
 
 Row: TypeAlias = tuple[int, str, str, str, str]
 """Number, kind, name, SHA-256 and chain value of a line."""
+ABOVE = "above"
+"""The detail of the first line for that number."""
 _ORIGIN = 32
 """Hexadecimal digits of a chain value that name a ledger."""
 
@@ -122,6 +124,14 @@ class Ledger:
         """The number of the last line; 0 if there is none."""
         with self._errors():
             return _table.last(self._database)[0]
+
+    @property
+    def above(self) -> int:
+        """The largest sequence number of a ledger that was lost before this one began; 0 if none
+        was."""
+        first = self._find("number = 1")
+        text = first[0].details.get(ABOVE, "") if first else ""
+        return int(text) if text.isdecimal() else 0
 
     @property
     def origin(self) -> str:

@@ -88,10 +88,11 @@ class Transaction:
     def number(self) -> int:
         """The sequence number of what this change signs: that of its first ledger line.
 
-        Each change adds lines, so a later one signs with a larger number, whatever clocks say.
+        Each change adds lines, so a later one signs with a larger number, whatever clocks say. In a
+        ledger that `pqsec adopt` began again, it is also above the numbers of the lost one.
         """
         with self._ledger() as ledger:
-            return ledger.size + 1
+            return ledger.above + ledger.size + 1
 
     def refuse_lines(self) -> None:
         """ExistsError if the database has lines already: a keystore begins its own ledger."""

@@ -49,7 +49,7 @@ class Status:
     head: str
     """The ledger's head when it was read."""
     future: tuple[tuple[str, datetime], ...] = ()
-    """What was signed later than now, by more than CLOCK_SKEW, as of `signed_later`. This clock is behind, or one was ahead."""
+    """What was signed later than now, as of `signed_later`: a clock is wrong, or was."""
 
     def to_json(self) -> dict[str, object]:
         """The state for --json."""

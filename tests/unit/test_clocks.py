@@ -17,6 +17,7 @@ from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
     Rollover,
+    adopt,
     issue,
     renew,
     renew_list,
@@ -381,3 +382,21 @@ def test_before_the_cas_were_made_no_clock_is_right(keystore):
         assert list_status(keystore, ledger, now=NOW, due=None) is None
     with pytest.raises(KeystoreError, match=r"begins on|newest line"):
         keep_list(keystore, authorities, 365 * DAY, now=NOW - 3 * DAY)
+
+
+def test_a_ledger_that_begins_again_goes_on_with_larger_numbers(keystore, tmp_path):
+    """What `docs/reference/keystore.md` says for a lost ledger without a backup."""
+    for _ in range(4):
+        sign(keystore, NOW)
+    put(tmp_path / "robot", bundle(keystore))
+    (keystore.root / "pqsec.json").unlink()
+    (keystore.root / "private/ledger.sqlite3").unlink()
+    keystore = adopt(keystore.root, now=NOW).keystore
+    sign(keystore, NOW)
+    renew(keystore, cas(keystore), [ROBOT], KEEP, now=NOW)
+    with pytest.raises(VerificationError, match="another ledger than the one seen") as refused:
+        put(tmp_path / "robot", bundle(keystore))
+    assert len(refused.value.problems) == 1  # nothing is older
+    put(tmp_path / "robot", bundle(keystore), older=True)  # once
+    sign(keystore, NOW)
+    put(tmp_path / "robot", bundle(keystore))
