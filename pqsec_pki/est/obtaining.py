@@ -130,7 +130,7 @@ def take(
     except VerificationError as error:
         if not error.codes.isdisjoint({Code.OLDER, Code.PROOF_BAD, Code.LIST_MISSING}):
             error.hint = _OLDER_SERVER
-        if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
+        elif answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
             error.hint = (
                 f"the time is {said(now)} here, and {said(answer.date)} at the server:"
                 " set the clock, and run the command again"
