@@ -79,13 +79,13 @@ def unlock(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa"
 
 
 def unlocked(keystore: "Keystore", passphrase: bytes | None, *cas: "SigningCa") -> "Authorities":
-    """Those CAs, unlocked with `passphrase`; they accept any clock with --accept-clock."""
-    return replace(keystore.unlock(passphrase, pin, cas), any_clock=accepts_any_clock())
+    """Those CAs, unlocked with `passphrase`; they compare the clock, but for --accept-clock."""
+    return replace(keystore.unlock(passphrase, pin, cas), compares_clock=compares_clock())
 
 
-def accepts_any_clock() -> bool:
-    """Whether --accept-clock was given."""
-    return bool(click.get_current_context().meta.get(_ANY_CLOCK))
+def compares_clock() -> bool:
+    """Whether the clock is compared with the keystore: not with --accept-clock."""
+    return not click.get_current_context().meta.get(_ANY_CLOCK)
 
 
 def unlock_with_signers(

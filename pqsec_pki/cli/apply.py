@@ -205,9 +205,13 @@ def _made(
     """Make the changes: the keystore, created if it does not exist, and the steps made."""
     if keystore and found.changes_profile:
         passphrase, now = passphrases.new(), _settings.now()
-        any_clock = _passphrases.accepts_any_clock()
         changed = change_profile(
-            desired, keystore, found, passphrase=passphrase, any_clock=any_clock, now=now
+            desired,
+            keystore,
+            found,
+            passphrase=passphrase,
+            compares_clock=_passphrases.compares_clock(),
+            now=now,
         )
         return changed, [*found.steps]
     cas = (found.only,) if found.only else ()

@@ -206,7 +206,7 @@ def _apply(
                 passphrase=passphrase,
                 pin=_passphrases.pin,
                 keys=keys,
-                any_clock=_passphrases.accepts_any_clock(),
+                compares_clock=_passphrases.compares_clock(),
                 now=_settings.now(),
             )
     for name, reason in done.plan.left_out.items():

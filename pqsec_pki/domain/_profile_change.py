@@ -48,14 +48,14 @@ def change_profile(  # noqa: PLR0913 -- by name
     plan: Plan,
     *,
     passphrase: bytes | None,
-    any_clock: bool = False,
+    compares_clock: bool = False,
     now: datetime,
 ) -> Keystore:
     """Execute such a plan; returns the keystore with its new profile.
 
-    `passphrase` encrypts the keys of the new CAs; `any_clock` is as in `Authorities`. KeystoreError
-    if the keystore was changed since the plan was made; other errors as of `refuse_keys_in_files`
-    and `apply_rollover`.
+    `passphrase` encrypts the keys of the new CAs; `compares_clock` is as in `Authorities`.
+    KeystoreError if the keystore was changed since the plan was made; other errors as of
+    `refuse_keys_in_files` and `apply_rollover`.
     """
     with keystore.hold():
         if keystore.head != plan.head:
@@ -66,7 +66,7 @@ def change_profile(  # noqa: PLR0913 -- by name
         rollover = _rollover(desired, keystore, now)
         refuse_keys_in_files(keystore, rollover.terms)
         done = apply_rollover(
-            keystore, rollover, passphrase=passphrase, any_clock=any_clock, now=now
+            keystore, rollover, passphrase=passphrase, compares_clock=compares_clock, now=now
         )
         return done.keystore
 

@@ -93,7 +93,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
-    from pqsec_pki.keystore.heads import SeenLedger
+    from pqsec_pki.keystore.heads import SeenLedger, read_head
     from pqsec_pki.keystore.keystore import Keystore
     from pqsec_pki.keystore.layout import GENERATIONS, SETTINGS
     from pqsec_pki.keystore.layout import enclave_name as regular_name
@@ -236,6 +236,7 @@ __all__ = [
     "policy_of",
     "predates_approvals",
     "read_anchors",
+    "read_head",
     "refuse_overlap",
     "registration",
     "registrations",

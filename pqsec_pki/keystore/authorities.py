@@ -52,8 +52,9 @@ class Authorities:
     """The ML-DSA half of the permissions CA. It has its own certificate, which documents need
     not carry: they are sent in every handshake."""
     embed_certificate: bool
-    any_clock: bool = False
-    """Whether they sign although the keystore says that the clock is wrong (`signing_clock`)."""
+    compares_clock: bool = False
+    """Whether `now` is what this machine's clock says, as in all commands: then nothing is signed
+    if the keystore says that it is wrong (`signing_clock`)."""
 
     @classmethod
     def create(

@@ -98,15 +98,15 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
     passphrase: bytes | None = None,
     pin: Pin | None = None,
     keys: Keys = None,
-    any_clock: bool = False,
+    compares_clock: bool = False,
     now: datetime,
 ) -> RolloverResult:
     """Execute the plan, or do nothing.
 
     `kept` are the keystore's CAs, if the plan's terms need them. New keys are encrypted under
     `passphrase`, which is also that of the key that an overlap has made; `pin` gives the PIN of a
-    token that has it. `keys` are keys of new CAs that are there already. `any_clock` is as in
-    `Authorities`. KeystoreError if the
+    token that has it. `keys` are keys of new CAs that are there already. `compares_clock` is as
+    in `Authorities`. KeystoreError if the
     keystore was changed after the plan was made; VerificationError for documents that the old
     permissions CA did not sign.
     """
@@ -120,7 +120,7 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
             )
         made = _NewCas(plan, passphrase, pin, keys, now)
         if plan.terms.reissues:
-            cas = replace(made.following(keystore, kept), any_clock=any_clock)
+            cas = replace(made.following(keystore, kept), compares_clock=compares_clock)
             transaction.authorities = cas
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}

@@ -35,6 +35,7 @@ from pqsec_pki.keystore import (
     files_elsewhere,
     layout,
     load_certificate,
+    read_head,
 )
 from pqsec_pki.lifecycle import fetch_files, issue
 from pqsec_pki.server.admission import Admission
@@ -192,7 +193,11 @@ class CallHandler:
 
         A robot refuses a head that is smaller than one that another server gave it.
         """
-        if self.keystore.ledger_address:
+        if not self.keystore.ledger_address:
+            return
+        with self.keystore.open_ledger() as ledger:
+            head, size = read_head(self.keystore.root), ledger.size
+        if head and head.head.size < size:
             with change(self.keystore.root, self.authorities):
                 pass  # each change with the CA keys signs one
 

@@ -24,6 +24,6 @@ def keep_list(
     if found and end and State.at(now, found.this_update, end, None) is State.VALID and not healing:
         return False
     # Robots order lists by their numbers: a list does no harm if it is this clock that is wrong.
-    authorities = replace(authorities, any_clock=healing or authorities.any_clock)
+    authorities = replace(authorities, compares_clock=authorities.compares_clock and not healing)
     renew_list(keystore, authorities, now=now, validity=validity)
     return True

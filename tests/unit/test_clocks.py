@@ -41,7 +41,8 @@ def keystore(tmp_path):
 
 
 def cas(keystore, *, any_clock=False):
-    return replace(keystore.unlock(None), any_clock=any_clock)
+    """The CAs as commands open them; `any_clock` is with --accept-clock."""
+    return replace(keystore.unlock(None), compares_clock=not any_clock)
 
 
 def bundle(keystore, *names, now=NOW):
@@ -138,8 +139,8 @@ def test_a_rollover_with_the_right_clock_follows_a_future_one(keystore, tmp_path
     put(robot, bundle(keystore, now=NOW + MONTH), now=NOW + MONTH)
     terms = Rollover(profile=keystore.profile, validity=900 * DAY)
     with pytest.raises(KeystoreError, match="newest line"):
-        rotate(keystore, terms, now=NOW + DAY)
-    keystore = rotate(keystore, terms, now=NOW + DAY, any_clock=True).keystore
+        rotate(keystore, terms, now=NOW + DAY, compares_clock=True)
+    keystore = rotate(keystore, terms, now=NOW + DAY).keystore
     new = bundle(keystore, now=NOW + DAY)
     put(robot, new, now=NOW + DAY, pins=new.roles)
     sign(keystore, NOW + DAY)
