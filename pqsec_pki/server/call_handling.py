@@ -36,6 +36,7 @@ from pqsec_pki.keystore import (
     layout,
     load_certificate,
     read_head,
+    was_ahead,
 )
 from pqsec_pki.lifecycle import fetch_files, issue
 from pqsec_pki.server.admission import Admission
@@ -147,6 +148,7 @@ class CallHandler:
             with self.keystore.open_ledger() as ledger:
                 try:
                     self.seen.refuse_less(self.keystore.root, ledger)
+                    self._recover_clock(ledger)
                 except PqsecError as error:
                     return [unavailable(error)] * len(calls)
                 deciding = self._admission(ledger)
@@ -175,6 +177,11 @@ class CallHandler:
                     else refused(misdirected(each.name))
                     for call, each in zip(calls, found, strict=True)
                 ]
+
+    def _recover_clock(self, ledger: Ledger) -> None:
+        """Issue a list now if the clock was ahead: its line comes before what is issued."""
+        if was_ahead(ledger, self.authorities, self.clock()):
+            self.keep_list()
 
     def _refuse_unusable(self) -> None:
         """VerificationError if no robot could use what the server has for all of them now.
@@ -309,6 +316,8 @@ class CallHandler:
             with self.keystore.open_ledger() as ledger:
                 self.seen.refuse_less(self.keystore.root, ledger)
                 spec = self._admission(ledger).again(name, path)
+                if spec:
+                    self._recover_clock(ledger)
             if spec:
                 issue(self.keystore, self.authorities, [spec], now=self.clock(), force=True)
 
