@@ -126,7 +126,7 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
 
 
 @lint_rule(
-    "PQS348", Severity.WARNING, "a document was signed in the future",
+    "PQS348", Severity.WARNING, "a keystore's document was signed in the future",
     why="A signing time that is more than a day ahead shows a wrong clock: of the CA then, or of"
     " this machine now. Other things of that time end too late, or are not valid yet. Robots take"
     " newer documents all the same: these have larger numbers.",
@@ -139,7 +139,8 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
 )  # fmt: skip
 def signed_in_the_future(inventory: Inventory) -> Iterator[Violation]:
     for each in inventory.signed_documents:
-        at = [signer.signed_at for signer in each.file.signers if is_by(signer, each.ca)]
+        ours = (signer for signer in each.file.signers if is_by(signer, each.ca) and signer.number)
+        at = [signer.signed_at for signer in ours]
         late = max(filter(None, at), default=inventory.now)
         if late > inventory.now + BACKDATE:
             yield Violation(f"was signed {said(late)}, which is in the future", path=each.file.path)
