@@ -247,6 +247,13 @@ class Attribute:
     values: SetOf[TLV]
 
 
+@sequence
+class DirectoryAttributes:
+    """The extension subjectDirectoryAttributes with one attribute (RFC 5280 4.2.1.8)."""
+
+    attribute: Attribute
+
+
 # RFC 5958 (PKCS#8), RFC 5915, RFC 9881 6
 
 

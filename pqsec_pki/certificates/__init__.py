@@ -10,6 +10,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.certificates._alternative import alternative_attributes
     from pqsec_pki.certificates._names import name_text
+    from pqsec_pki.certificates._sequence import SEQUENCE_NUMBER, read_sequence_number
     from pqsec_pki.certificates.authority import (
         BACKDATE,
         LAST_YEAR,
@@ -35,6 +36,7 @@ __all__ = [
     "BACKDATE",
     "LAST_YEAR",
     "MAX_COMMON_NAME",
+    "SEQUENCE_NUMBER",
     "Authority",
     "Certificate",
     "CertificateRequest",
@@ -46,6 +48,7 @@ __all__ = [
     "common_name",
     "end_of",
     "name_text",
+    "read_sequence_number",
     "revocation_list",
     "verify_authority",
     "verify_chain",

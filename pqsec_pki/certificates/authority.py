@@ -32,6 +32,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import PrivateKey, PublicKey, SignatureAlgorithm
 from pqsec_pki.certificates import _alternative
+from pqsec_pki.certificates._sequence import sequence_extension
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, UsageError
 
@@ -103,17 +104,19 @@ class Authority:
             _alternative.add_key(tbs, alternative.public_key)
         return cls(_sign(tbs, key, alternative), key, alternative)
 
-    def issue(
+    def issue(  # noqa: PLR0913 -- the rarer ones by name
         self,
         name: str,
         key: PublicKey,
         *,
         alternative: PublicKey | None = None,
+        number: int | None = None,
         now: datetime,
         validity: timedelta,
     ) -> Certificate:
         """A participant's certificate for CN=`name` and `key`, and its alternative key.
 
+        `number` is its sequence number, by which robots know an older certificate.
         It never expires after this CA: a longer `validity` is shortened. UsageError if the name
         is invalid, PqsecError if this CA is expired or not yet valid.
         """
@@ -123,7 +126,10 @@ class Authority:
             issuer=self.certificate.subject_der,
             key=key,
             window=(max(now - BACKDATE, self.certificate.not_before), end),
-            extensions=_participant_extensions(key, self.certificate),
+            extensions=[
+                *_participant_extensions(key, self.certificate),
+                *([sequence_extension(number)] if number is not None else []),
+            ],
         )
         if alternative:
             _alternative.add_key(tbs, alternative)

@@ -27,6 +27,7 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import lone_common_name, name_line, name_text
+from pqsec_pki.certificates._sequence import sequence_number_in
 from pqsec_pki.errors import MalformedError, PqsecError, library_call
 
 Value = TypeVar("Value", bound=x509.ExtensionType)
@@ -173,6 +174,14 @@ class Certificate:
         """The subjectKeyIdentifier extension's value, if there is one."""
         found = self.extension(x509.SubjectKeyIdentifier)
         return found.digest if found else None
+
+    @cached_property
+    def number(self) -> int | None:
+        """The sequence number: a keystore issues later certificates with larger ones.
+
+        None if it has none, as one of another tool.
+        """
+        return sequence_number_in(self.extensions)
 
     def extension(self, kind: type[Value]) -> Value | None:
         """The value of that extension; None if the certificate has none."""

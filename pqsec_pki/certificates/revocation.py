@@ -127,6 +127,18 @@ class RevocationList:
         if problems:
             raise VerificationError(*problems)
 
+    def validity_problems(self, now: datetime) -> Iterator[Problem]:
+        """RFC 5280 6.3.3 (a): problems if it is not current at `now`."""
+        if now < self.this_update:
+            yield Problem(
+                f"the revocation list is not in force before {said(self.this_update)}",
+                Code.LIST_NOT_YET_VALID,
+            )
+        if self.next_update and now > self.next_update:
+            yield Problem(
+                f"the revocation list ended on {said(self.next_update)}", Code.LIST_EXPIRED
+            )
+
 
 def verify_not_revoked(
     certificate: Certificate,
@@ -143,7 +155,7 @@ def verify_not_revoked(
     """
     problems = [
         *_lasting_problems(revoked, ca, required=require_alternative),
-        *_currency_problems(revoked, now),
+        *revoked.validity_problems(now),
     ]
     entry = revoked.revocation_of(certificate)
     if entry:
@@ -167,17 +179,6 @@ def _lasting_problems(
         *_alternative_problems(crl, ca, required=required),
         *_critical_problems(crl),
     )
-
-
-def _currency_problems(crl: RevocationList, now: datetime) -> Iterator[Problem]:
-    # RFC 5280 6.3.3 (a): the list is current
-    if now < crl.this_update:
-        yield Problem(
-            f"the revocation list is not in force before {said(crl.this_update)}",
-            Code.LIST_NOT_YET_VALID,
-        )
-    if crl.next_update and now > crl.next_update:
-        yield Problem(f"the revocation list ended on {said(crl.next_update)}", Code.LIST_EXPIRED)
 
 
 def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:

@@ -58,6 +58,11 @@ def _lines(
         "Whether the ledger has all lines of which the CAs signed a head.",
         [({"keystore": root}, int(is_whole))],
     )
+    yield from _metric(
+        "clock_right",
+        "Whether nothing is signed later than now, as with a clock that was ahead.",
+        [({"keystore": root}, int(not standing.future))],
+    )
     now = int(standing.at.timestamp())
     yield from _metric(
         "status_seconds", "When these metrics were made, as Unix time.", [({"keystore": root}, now)]

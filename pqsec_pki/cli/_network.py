@@ -74,6 +74,8 @@ def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:
     failed = [each for each in found if isinstance(each, PqsecError)]
     if done:
         _send_receipt(folder, done[0].name)
+        for problem in dict.fromkeys(problem for each in done for problem in each.future):
+            _printing.note(str(problem))
         lines = [
             f"{each.name}  {_words(each)}, until {end(each.certificate.not_after)}  {folder}"
             for each in done

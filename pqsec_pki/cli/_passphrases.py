@@ -4,6 +4,7 @@ import os
 import stat
 import sys
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -24,17 +25,32 @@ SHORTEST, FEWEST = 15, 5
 them must differ. An attacker with the encrypted keys can try passphrases as fast as machines
 allow."""
 _WEAK = "pqsec.weak_passphrase"
+_ANY_CLOCK = "pqsec.any_clock"
+ACCEPT_CLOCK = "--accept-clock"
 
 
 def option(command: _settings.Command) -> _settings.Command:
-    """Add --passphrase-file to a command that uses CA keys."""
+    """Add --passphrase-file and --accept-clock to a command that uses CA keys."""
+
+    def remember(context: click.Context, parameter: click.Parameter, value: object) -> None:
+        del parameter
+        if value:  # a command that a plan runs has it from `pqsec apply`
+            context.meta[_ANY_CLOCK] = True
+
+    clock = click.option(
+        ACCEPT_CLOCK,
+        is_flag=True,
+        expose_value=False,
+        callback=remember,
+        help="Sign although the clock is behind the ledger, or everything has ended by it.",
+    )
     add = click.option(
         "--passphrase-file",
         type=_settings.FILE,
         envvar=VARIABLE,
         help="Read the CA passphrase from the first line of this file.",
     )
-    return add(command)
+    return add(clock(command))
 
 
 def weak_option(command: _settings.Command) -> _settings.Command:
@@ -59,7 +75,17 @@ def unlock(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa"
 
     With `cas`, only those: the keys of others may be on another machine.
     """
-    return keystore.unlock(of_cas(keystore, passphrase_file, *cas), pin, cas)
+    return unlocked(keystore, of_cas(keystore, passphrase_file, *cas), *cas)
+
+
+def unlocked(keystore: "Keystore", passphrase: bytes | None, *cas: "SigningCa") -> "Authorities":
+    """Those CAs, unlocked with `passphrase`; they compare the clock, but for --accept-clock."""
+    return replace(keystore.unlock(passphrase, pin, cas), compares_clock=compares_clock())
+
+
+def compares_clock() -> bool:
+    """Whether the clock is compared with the keystore: not with --accept-clock."""
+    return not click.get_current_context().meta.get(_ANY_CLOCK)
 
 
 def unlock_with_signers(
@@ -78,9 +104,9 @@ def unlock_with_signers(
         cas = (needed, signer)
     passphrase = of_cas(keystore, passphrase_file, needed)
     try:
-        return keystore.unlock(passphrase, pin, cas)
+        return unlocked(keystore, passphrase, *cas)
     except PqsecError:
-        return keystore.unlock(passphrase, pin, (needed,))
+        return unlocked(keystore, passphrase, needed)
 
 
 def of_cas(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa") -> bytes | None:

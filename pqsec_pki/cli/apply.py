@@ -219,7 +219,14 @@ def _made(
     """Make the changes: the keystore, created if it does not exist, and the steps made."""
     if keystore and found.changes_profile:
         passphrase, now = passphrases.new(), _settings.now()
-        changed = change_profile(desired, keystore, found, passphrase=passphrase, now=now)
+        changed = change_profile(
+            desired,
+            keystore,
+            found,
+            passphrase=passphrase,
+            compares_clock=_passphrases.compares_clock(),
+            now=now,
+        )
         return changed, [*found.steps]
     cas = (found.only,) if found.only else ()
     keystore, authorities = passphrases.opened(desired, keystore, *cas)

@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
+from pqsec_pki.enrolment import head_problems
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
@@ -140,6 +141,7 @@ def check(  # noqa: PLR0913 -- one for each option
         targets=targets,
         ignore=map(_suppression, ignored),
         proofs=proofs,
+        compare_head=head_problems,
     )
     if known:
         report = _without_known(report, known)

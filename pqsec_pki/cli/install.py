@@ -92,6 +92,8 @@ def install(  # noqa: PLR0913 -- one for each option, by name
         agreed=removed,
         pin=_passphrases.pin,
     )
+    for each in done.future:
+        _printing.note(str(each))
     word = "was already installed" if done.already else "installed"
     until = f"until {end(done.not_after)}"
     _printing.emit(done.to_json(), [f"{', '.join(done.names)}  {word}, {until}  {done.current}"])

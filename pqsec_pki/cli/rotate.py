@@ -193,7 +193,7 @@ def _apply(
     refuse_keys_in_files(keystore, terms, uris)
     if terms.needs_old_cas:
         passphrase = _passphrases.of_cas(keystore, passphrase_file)
-        kept = keystore.unlock(passphrase, _passphrases.pin)
+        kept = _passphrases.unlocked(keystore, passphrase)
     with _key_uris.keys(terms.profile, uris, terms.new_keys) as keys:
         # the keys of an overlap have the passphrase of the old ones
         if not terms.overlap and len(keys) < len(key_algorithms(terms.profile)):
@@ -206,6 +206,7 @@ def _apply(
                 passphrase=passphrase,
                 pin=_passphrases.pin,
                 keys=keys,
+                compares_clock=_passphrases.compares_clock(),
                 now=_settings.now(),
             )
     for name, reason in done.plan.left_out.items():

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from pqsec_pki._times import said
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
 from pqsec_pki.cli._metrics import write_metrics
 from pqsec_pki.cli._names import named
@@ -117,6 +118,8 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _printing.note(
             f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
         )
+    for what, at in standing.future:
+        _printing.note(f"{what} was signed {said(at)}: the clock is behind, or was ahead then")
     faults, policy = faults_of_ledger(keystore), keystore.approvals
     if prometheus:
         write_metrics(prometheus, keystore, standing, robots, is_whole=not faults)

@@ -154,6 +154,14 @@ class TrustAnchors:
                 )
             )
 
+    def list_problems(self, now: datetime) -> Iterator[Problem]:
+        """Problems of the revocation list itself, if there is one: its CA, its time."""
+        list_, twice = self.revocation_list, self.signed_twice
+        if list_ is not None:
+            check = partial(list_.verify, self.identity_ca, require_alternative=twice)
+            yield from _problems_of(check)
+            yield from list_.validity_problems(now)
+
     def own_identity_problems(self, certificate: Certificate, now: datetime) -> Iterator[Problem]:
         """Like `identity_problems`, for the own certificate, which the first CA must have issued.
 

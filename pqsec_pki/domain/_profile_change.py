@@ -42,13 +42,20 @@ def plan_profile_change(desired: Desired, keystore: Keystore, *, now: datetime) 
     return Plan((step,), tuple(blocked), (), 0, rollover.head)
 
 
-def change_profile(
-    desired: Desired, keystore: Keystore, plan: Plan, *, passphrase: bytes | None, now: datetime
+def change_profile(  # noqa: PLR0913 -- by name
+    desired: Desired,
+    keystore: Keystore,
+    plan: Plan,
+    *,
+    passphrase: bytes | None,
+    compares_clock: bool = False,
+    now: datetime,
 ) -> Keystore:
     """Execute such a plan; returns the keystore with its new profile.
 
-    `passphrase` encrypts the keys of the new CAs. KeystoreError if the keystore was changed since
-    the plan was made; other errors as of `refuse_keys_in_files` and `apply_rollover`.
+    `passphrase` encrypts the keys of the new CAs; `compares_clock` is as in `Authorities`.
+    KeystoreError if the keystore was changed since the plan was made; other errors as of
+    `refuse_keys_in_files` and `apply_rollover`.
     """
     with keystore.hold():
         if keystore.head != plan.head:
@@ -58,7 +65,10 @@ def change_profile(
             )
         rollover = _rollover(desired, keystore, now)
         refuse_keys_in_files(keystore, rollover.terms)
-        return apply_rollover(keystore, rollover, passphrase=passphrase, now=now).keystore
+        done = apply_rollover(
+            keystore, rollover, passphrase=passphrase, compares_clock=compares_clock, now=now
+        )
+        return done.keystore
 
 
 def _rollover(desired: Desired, keystore: Keystore, now: datetime) -> RolloverPlan:

@@ -164,6 +164,8 @@ class Reconciler:
         return held.requested
 
     def _why_renew(self, member: Member, held: ParticipantState) -> str:
+        if held.state is State.NOT_YET_VALID:
+            return "its certificate is not valid yet: a clock was wrong"
         if not held.state.calls_for_renewal or held.not_after - self.now >= member.validity:
             return ""
         if self.ca_ends <= held.not_after:

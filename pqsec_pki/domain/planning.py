@@ -21,6 +21,7 @@ from pqsec_pki.keystore import (
     Keystore,
     Overlap,
     SigningCa,
+    State,
     Status,
     governance_digest,
     signed_governance,
@@ -224,4 +225,6 @@ class _Planner:
         crl = self.actual.revocation_list
         if included or crl is None or not crl.state.calls_for_renewal:
             return []
-        return [Step(StepAction.RENEW_CRL, "", f"ends {said(crl.not_after)}")]
+        early = crl.state is State.NOT_YET_VALID
+        why = "is not valid yet: a clock was wrong" if early else f"ends {said(crl.not_after)}"
+        return [Step(StepAction.RENEW_CRL, "", why)]

@@ -46,8 +46,10 @@ if TYPE_CHECKING:
         request,
         requests,
     )
+    from pqsec_pki.enrolment.robot_clock import begin_problems
     from pqsec_pki.enrolment.rolling_back import rollback
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
+    from pqsec_pki.enrolment.seen_heads import head_problems
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
     from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
     from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
@@ -73,11 +75,13 @@ __all__ = [
     "VerifiedBundle",
     "accept",
     "answered",
+    "begin_problems",
     "bundle_path",
     "bundle_paths",
     "changing",
     "fingerprint",
     "flat_name",
+    "head_problems",
     "import_receipts",
     "install",
     "is_credential_store",

@@ -1,11 +1,12 @@
 """What a robot trusts: as saved, or derived from the set that is installed."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
-from pqsec_pki.credentials import KEYS, Credentials
+from pqsec_pki.credentials import KEYS, PROOF, Credentials, verify_logged
 from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledSet
 from pqsec_pki.enrolment.trust import Marks, Pins, TrustState, pins_in
 from pqsec_pki.errors import PqsecError, located
+from pqsec_pki.transparency import LedgerProof, TreeHead
 
 
 def trust_state(
@@ -21,7 +22,7 @@ def trust_state(
             return state
         installed = credentials_in(before)
         pins = pins_in(*(each.anchors for each in installed))
-        return raised(None, installed, pins)
+        return raised(None, installed, pins, heads_in(before, installed))
     except PqsecError as error:
         if not needed:
             return None
@@ -32,10 +33,28 @@ def trust_state(
 
 
 def raised(
-    state: TrustState | None, credentials: Collection[Credentials], pins: Pins
+    state: TrustState | None,
+    credentials: Collection[Credentials],
+    pins: Pins,
+    heads: Mapping[str, TreeHead],
 ) -> TrustState:
-    """The trust state after these credentials; `pins` are its CAs if there is none yet."""
-    return (state or TrustState(pins=pins, marks=Marks())).after(credentials, pins)
+    """The trust state after these credentials; `pins` are its CAs if there is none yet.
+
+    `heads` are the heads of the ledger in their proofs, by participant.
+    """
+    return (state or TrustState(pins=pins, marks=Marks())).after(credentials, pins, heads)
+
+
+def heads_in(found: InstalledSet, credentials: Collection[Credentials]) -> dict[str, TreeHead]:
+    """The head in each installed proof, by participant; errors as of `verify_logged`."""
+    heads = {}
+    for each in credentials:
+        files = found.enclaves[each.name]
+        if PROOF in files:
+            proof = LedgerProof.from_bytes(files[PROOF])
+            verify_logged(each.name, each.anchors, files, proof)
+            heads[each.name] = proof.checkpoint.head
+    return heads
 
 
 def credentials_in(found: InstalledSet) -> list[Credentials]:

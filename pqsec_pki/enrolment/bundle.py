@@ -152,6 +152,15 @@ class Bundle:
         return any(key in files for files in self.enclaves.values() for key in KEYS)
 
     @property
+    def credentials(self) -> tuple[Credentials, ...]:
+        """Those of each enclave without its private keys, not verified; errors as of
+        `Credentials.of`."""
+        return tuple(
+            Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
+            for name, files in self.enclaves.items()
+        )
+
+    @property
     def fingerprints(self) -> tuple[str, ...]:
         """SHA-256 of the CAs' certificates, sorted."""
         return tuple(sorted({each for found in self.roles.values() for each in found}))

@@ -9,9 +9,6 @@ from shlex import quote
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
-from pqsec_pki.credentials import (
-    Credentials,
-)
 from pqsec_pki.enrolment._installed_trust import raised, trust_state
 from pqsec_pki.enrolment._next_set import NextSet
 from pqsec_pki.enrolment.bundle import Bundle
@@ -22,9 +19,10 @@ from pqsec_pki.enrolment.credential_store import (
     changing,
 )
 from pqsec_pki.enrolment.requesting import SEALING_KEY
+from pqsec_pki.enrolment.robot_clock import future_problems, verification_time
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
-from pqsec_pki.enrolment.trust import Pins, TrustState
+from pqsec_pki.enrolment.trust import Marks, Pins, TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 from pqsec_pki.errors import (
     KeystoreError,
@@ -32,6 +30,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
+from pqsec_pki.problems import Problem
 from pqsec_pki.tokens import Pin, stored_pin
 
 MAX_FILE = MAX_ARCHIVE + (64 << 10)
@@ -53,6 +52,8 @@ class Installed:
     """The bundle's number, if it has one."""
     receipt: Path
     """The receipt, which shows the machine with the CAs what is installed."""
+    future: tuple[Problem, ...] = ()
+    """What is of the future by the clock of this robot, which is wrong, or the CA's was."""
 
     def to_json(self) -> dict[str, object]:
         """The result for --json."""
@@ -63,6 +64,7 @@ class Installed:
             "already": self.already,
             "bundle": self.bundle,
             "receipt": self.receipt,
+            "future": list(map(str, self.future)),
         }
 
 
@@ -103,15 +105,15 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         state = trust_state(store, before, needed=not (pins and older))
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         proofs = proofs or bool(state and state.proofs)
-        found = _verified(bundle, trusted, now, proofs=proofs)
-        newer = replace(raised(state, found.credentials, trusted), proofs=proofs)
+        found = _verified(bundle, trusted, before, now, proofs=proofs)
+        newer = replace(raised(state, found.credentials, trusted, found.heads), proofs=proofs)
         if not older:
-            _refuse_older(found.credentials, newer, _instead(state, trusted, root))
+            _refuse_older(found, newer, state, _instead(state, trusted, root))
         made = NextSet.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
         answered = {name: made.enclaves[name] for name in bundle.names}
         store.tidy(answered)  # also removes what a killed installation left
-        return _result(found, store, bundle, already=already)
+        return _result(found, store, bundle, already=already, now=now)
 
 
 def require_trust(root: Path, pins: Pins | None = None) -> None:
@@ -183,9 +185,12 @@ def _no_cas() -> UsageError:
     )
 
 
-def _verified(bundle: Bundle, pins: Pins, now: datetime, *, proofs: bool) -> VerifiedBundle:
+def _verified(
+    bundle: Bundle, pins: Pins, before: InstalledSet | None, now: datetime, *, proofs: bool
+) -> VerifiedBundle:
+    at = verification_time(bundle.credentials, before, now)
     try:
-        return verify_bundle(bundle, pins, now=now, proof_demanded=proofs)
+        return verify_bundle(bundle, pins, now=at, proof_demanded=proofs)
     except VerificationError as error:
         error.hint = error.hint or (
             "`pqsec bundle` on the CA machine creates a new bundle; if anything expired, run"
@@ -202,20 +207,33 @@ def _instead(before: TrustState | None, pins: Pins, root: Path) -> str:
     return "--older installs it anyway"
 
 
-def _refuse_older(credentials: Collection[Credentials], state: TrustState, hint: str) -> None:
-    """VerificationError for credentials older than `state`: protection against rollback.
+def _refuse_older(
+    found: VerifiedBundle, newer: TrustState, state: TrustState | None, hint: str
+) -> None:
+    """VerificationError for a bundle older than `newer`: protection against rollback.
 
     An old bundle could restore withdrawn rights or accept revoked peers, as could an older file
-    in one enclave of a new bundle. `state` is the one after its installation.
+    in one enclave of a new bundle, and a copy of the ledger. `newer` is the state after its
+    installation, `state` the one before.
     """
-    problems = [problem for each in credentials for problem in state.marks.problems(each)]
+    problems = [problem for each in found.credentials for problem in newer.marks.problems(each)]
+    seen = state.marks if state else Marks()
+    for each in found.credentials:
+        if each.name in found.heads:
+            problems += seen.head_problems(each, found.heads[each.name])
     if problems:
         raise VerificationError(*dict.fromkeys(problems), hint=hint)
 
 
 def _result(
-    found: VerifiedBundle, store: CredentialStore, bundle: Bundle, *, already: bool
+    found: VerifiedBundle,
+    store: CredentialStore,
+    bundle: Bundle,
+    *,
+    already: bool,
+    now: datetime,
 ) -> Installed:
+    future = (problem for each in found.credentials for problem in future_problems(each, now))
     return Installed(
         names=tuple(each.name for each in found.verified),
         not_after=min(each.certificate.not_after for each in found.verified),
@@ -223,4 +241,5 @@ def _result(
         already=already,
         bundle=bundle.number,
         receipt=store.receipt,
+        future=tuple(dict.fromkeys(future)),
     )

@@ -39,7 +39,7 @@ def rollback(
             if state is None:
                 with suppress(PqsecError):  # an unreadable set raises no marks
                     seen += credentials_in(current)
-            store.trust(raised(state, seen, pins))
+            store.trust(raised(state, seen, pins, {}))
         receipt = receipt_of(
             earlier.enclaves, earlier.numbers, installed_at=earlier.at, now=now, pin=pin
         )

@@ -1,8 +1,10 @@
 """The trust state of a robot, which stays when one set of credentials replaces another.
 
-Pins are the CAs that the robot trusts, each with its role. Marks are the newest revocation list
-number, signing times and certificates that were ever installed here. They never decrease, so no
-older bundle restores withdrawn rights or accepts a revoked peer, not even after a rollback.
+Pins are the CAs that the robot trusts, each with its role. Marks are the largest numbers of the
+revocation list, the documents, the certificates and the ledger's head that were ever installed
+here. They never decrease, so no older bundle restores withdrawn rights or accepts a revoked peer,
+not even after a rollback. No clock orders anything
+(docs/explanation/adr/0035-robots-order-by-numbers.md).
 """
 
 import hashlib
@@ -10,7 +12,6 @@ import json
 import re
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import field
-from datetime import UTC, datetime
 from typing import Any, Self, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
@@ -22,6 +23,7 @@ from pqsec_pki.credentials import (
     PERMISSIONS,
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
+    PROOF,
     REVOCATION_LIST,
     Credentials,
     TrustAnchors,
@@ -29,8 +31,9 @@ from pqsec_pki.credentials import (
 from pqsec_pki.errors import KeystoreError, UsageError, other_format, shown
 from pqsec_pki.keystore import CurrentFiles, Keystore
 from pqsec_pki.problems import Code, Problem
+from pqsec_pki.transparency import HASH, TreeHead
 
-FORMAT = 1
+FORMAT = 2
 ROLES = {
     "identity": IDENTITY_CA,
     "permissions": PERMISSIONS_CA,
@@ -42,8 +45,12 @@ Pins: TypeAlias = Mapping[str, frozenset[str]]
 """SHA-256 fingerprints of CA certificates, hex, by the file that contains them."""
 
 _PIN = re.compile(rf"({'|'.join(ROLES)}):([0-9a-f]{{64}})")
-_WORDS = {GOVERNANCE: "the governance is", PERMISSIONS: "the permissions are"}
-_NEVER = datetime.min.replace(tzinfo=UTC)
+_WORDS = {
+    CERTIFICATE: "the certificate is",
+    GOVERNANCE: "the governance is",
+    PERMISSIONS: "the permissions are",
+    REVOCATION_LIST: "the revocation list is",
+}
 
 
 def pins_of(texts: Iterable[str]) -> Pins:
@@ -93,59 +100,85 @@ def pin_problems(found: Pins, trusted: Pins) -> Iterator[Problem]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Marks:
-    """The newest documents that were ever installed."""
+    """The largest numbers that were ever installed; no clock is asked.
+
+    A number is of one keystore, so each is kept with the SHA-256, in hex, of the CA's key (SPKI).
+    """
 
     lists: Mapping[str, int] = field(default_factory=dict)
-    """CRL numbers, by SHA-256 of the identity CA's key (SPKI), hex."""
-    signed: Mapping[str, datetime] = field(default_factory=dict)
-    """Signing times of documents, by name: 'governance.p7s', 'permissions.p7s /talker'."""
-    issued: Mapping[str, datetime] = field(default_factory=dict)
-    """Start of validity of certificates, by participant."""
+    """CRL numbers, by identity CA."""
+    numbers: Mapping[str, int] = field(default_factory=dict)
+    """Sequence numbers of documents and certificates, by file, permissions CA and participant:
+    'governance.p7s CA', 'permissions.p7s CA /talker'. What has no number counts as 0."""
+    heads: Mapping[str, TreeHead] = field(default_factory=dict)
+    """The ledger's head with the most lines, by permissions CA, ledger and participant."""
 
     @classmethod
-    def of(cls, credentials: Credentials) -> Self:
-        """The marks of a participant's credentials; VerificationError for an invalid signature."""
-        anchors, name = credentials.anchors, credentials.name
-        governance = anchors.signatures(credentials.governance)[0].signed_at
-        permissions = anchors.signatures(credentials.permissions)[0].signed_at
-        revocation_list = anchors.revocation_list
-        number = -1 if revocation_list is None else (revocation_list.number or 0)
+    def of(cls, credentials: Credentials, head: TreeHead | None = None) -> Self:
+        """The marks of a participant's credentials; VerificationError for an invalid signature.
+
+        `head` is that of the proof that the ledger has them, which was verified.
+        """
+        anchors, ca = credentials.anchors, _permissions_key(credentials)
+        found = {
+            CERTIFICATE: credentials.certificate.number,
+            GOVERNANCE: anchors.signatures(credentials.governance)[0].number,
+            PERMISSIONS: anchors.signatures(credentials.permissions)[0].number,
+        }
+        list_, name = anchors.revocation_list, credentials.name
         return cls(
-            lists={} if revocation_list is None else {_key_of(credentials): number},
-            signed={
-                GOVERNANCE: governance or _NEVER,
-                f"{PERMISSIONS} {name}": permissions or _NEVER,
-            },
-            issued={name: credentials.certificate.not_before},
+            lists={} if list_ is None else {_identity_key(credentials): list_.number or 0},
+            numbers={_mark(file, ca, name): number or 0 for file, number in found.items()},
+            heads={} if head is None else {_head_mark(ca, head, name): head},
         )
 
     def raised_by(self, other: "Marks") -> "Marks":
-        """The newer value of both, for each mark."""
+        """The larger value of both, for each mark; of two equal heads, that of these marks."""
+        heads = {**self.heads}
+        for key, head in other.heads.items():
+            if key not in heads or heads[key].size < head.size:
+                heads[key] = head
         return Marks(
             lists=_highest(self.lists, other.lists),
-            signed=_highest(self.signed, other.signed),
-            issued=_highest(self.issued, other.issued),
+            numbers=_highest(self.numbers, other.numbers),
+            heads=heads,
         )
 
     def problems(self, credentials: Credentials) -> Iterator[Problem]:
         """Files of `credentials`, whose signatures are valid, that are older than the marks."""
         new, name = Marks.of(credentials), credentials.name
-        for who, when in new.issued.items():
-            if when < self.issued.get(who, _NEVER):
-                yield _older(name, CERTIFICATE, "the certificate is")
-        key = _key_of(credentials)
+        key = _identity_key(credentials)
         if key not in new.lists:
             # With two trusted identity CAs, in a rollover, there is no list
             # (docs/how-to/rollover.md).
             if key in self.lists and not credentials.anchors.in_overlap:
                 words = "the revocation list is missing, but one was installed before"
                 yield Problem(words, Code.LIST_MISSING, f"{name}: {REVOCATION_LIST}")
-        elif new.lists.get(key, -1) < self.lists.get(key, -1):
-            yield _older(name, REVOCATION_LIST, "the revocation list is")
-        for file, when in new.signed.items():
-            if when < self.signed.get(file, _NEVER):
-                document = file.split()[0]
-                yield _older(name, document, _WORDS[document])
+        elif new.lists[key] < self.lists.get(key, 0):
+            yield _older(name, REVOCATION_LIST)
+        for mark, number in new.numbers.items():
+            if number < self.numbers.get(mark, 0):
+                yield _older(name, mark.split()[0])
+
+    def head_problems(self, credentials: Credentials, head: TreeHead) -> Iterator[Problem]:
+        """Why `head`, of a proof for `credentials`, is not a later one of the ledger seen here.
+
+        Bundles for several participants are installed in any order, so the number of lines is
+        compared with that of the same participant.
+        """
+        ca, name = _permissions_key(credentials), credentials.name
+        seen = {key: each for key, each in self.heads.items() if key.startswith(f"{ca} ")}
+        ours = [each for each in seen.values() if each.origin == head.origin]
+        own = seen.get(_head_mark(ca, head, name))
+        if own and head.size < own.size:
+            words = f"it is of an older ledger: of {head.size} lines, and {own.size} were seen here"
+            yield Problem(words, Code.OLDER, PROOF).of(name)
+        if any(each.size == head.size and each.root != head.root for each in ours):
+            words = f"it is of another ledger: its {head.size} lines are not those seen here"
+            yield Problem(words, Code.PROOF_BAD, PROOF).of(name)
+        if seen and not ours:
+            words = "it is of another ledger than the one seen here"
+            yield Problem(words, Code.PROOF_BAD, PROOF).of(name)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -173,9 +206,9 @@ class TrustState:
                     if role in value["pins"]
                 },
                 marks=Marks(
-                    lists={str(key): int(number) for key, number in marks["lists"].items()},
-                    signed=_times(marks["signed"]),
-                    issued=_times(marks["issued"]),
+                    lists=_numbers(marks["lists"]),
+                    numbers=_numbers(marks["numbers"]),
+                    heads={str(key): _head(each) for key, each in marks["heads"].items()},
                 ),
                 proofs=value.get("proofs", False) is True,
             )
@@ -194,19 +227,27 @@ class TrustState:
             },
             "marks": {
                 "lists": self.marks.lists,
-                "signed": {key: each.isoformat() for key, each in self.marks.signed.items()},
-                "issued": {key: each.isoformat() for key, each in self.marks.issued.items()},
+                "numbers": self.marks.numbers,
+                "heads": {
+                    key: {"origin": each.origin, "size": each.size, "root": each.root.hex()}
+                    for key, each in self.marks.heads.items()
+                },
             },
         }
         if self.proofs:
             value["proofs"] = True
         return json.dumps(value, indent=2, sort_keys=True).encode() + b"\n"
 
-    def after(self, credentials: Collection[Credentials], pins: Pins) -> "TrustState":
-        """The state after the installation of `credentials`, with the CAs `pins`."""
+    def after(
+        self, credentials: Collection[Credentials], pins: Pins, heads: Mapping[str, TreeHead]
+    ) -> "TrustState":
+        """The state after the installation of `credentials`, with the CAs `pins`.
+
+        `heads` are the heads of the ledger in their proofs, by participant.
+        """
         marks = self.marks
         for each in credentials:
-            marks = marks.raised_by(Marks.of(each))
+            marks = marks.raised_by(Marks.of(each, heads.get(each.name)))
         return TrustState(pins=pins, marks=marks, proofs=self.proofs)
 
 
@@ -219,20 +260,42 @@ def pins_in(*anchors: TrustAnchors) -> Pins:
     return {file: frozenset(found[file]) for file in CA_FILES if found.get(file)}
 
 
-def _key_of(credentials: Credentials) -> str:
+def _identity_key(credentials: Credentials) -> str:
     return hashlib.sha256(credentials.anchors.identity_ca.spki).hexdigest()
 
 
-def _older(name: str, file: str, what: str) -> Problem:
-    return Problem(f"{what} older than one installed before", Code.OLDER, f"{name}: {file}")
+def _permissions_key(credentials: Credentials) -> str:
+    return hashlib.sha256(credentials.anchors.permissions_ca.spki).hexdigest()
 
 
-def _highest(one: Mapping[str, Any], other: Mapping[str, Any]) -> dict[str, Any]:
+def _mark(file: str, ca: str, name: str) -> str:
+    """The key of a mark: all participants have the same governance."""
+    return f"{file} {ca}" if file == GOVERNANCE else f"{file} {ca} {name}"
+
+
+def _head_mark(ca: str, head: TreeHead, name: str) -> str:
+    return f"{ca} {head.origin} {name}"
+
+
+def _older(name: str, file: str) -> Problem:
+    words = f"{_WORDS[file]} older than one installed before"
+    return Problem(words, Code.OLDER, f"{name}: {file}")
+
+
+def _highest(one: Mapping[str, int], other: Mapping[str, int]) -> dict[str, int]:
     return {key: max(each[key] for each in (one, other) if key in each) for key in {**one, **other}}
 
 
-def _times(value: Mapping[str, str]) -> dict[str, datetime]:
-    found = {str(key): datetime.fromisoformat(each) for key, each in value.items()}
-    if any(each.tzinfo is None for each in found.values()):
-        raise ValueError("a time without a time zone")
-    return found
+def _numbers(value: Mapping[str, Any]) -> dict[str, int]:
+    """The marks in JSON; ValueError for one that is not a number."""
+    if not all(type(each) is int and each >= 0 for each in value.values()):
+        raise ValueError("a mark that is not a number")
+    return {str(key): each for key, each in value.items()}
+
+
+def _head(value: Mapping[str, Any]) -> TreeHead:
+    """A head in JSON; ValueError, TypeError or KeyError if it is not one."""
+    origin, size, root = value["origin"], value["size"], bytes.fromhex(value["root"])
+    if not isinstance(origin, str) or type(size) is not int or len(root) != HASH:
+        raise ValueError("a head that is not one")
+    return TreeHead(origin, size, root)

@@ -11,7 +11,6 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import (
     ALT_KEY,
     KEY,
-    KEYS,
     PROOF,
     Credentials,
     VerifiedCredentials,
@@ -24,7 +23,7 @@ from pqsec_pki.enrolment.trust import Pins, pin_problems, pins_in
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code
 from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
-from pqsec_pki.transparency import LedgerProof
+from pqsec_pki.transparency import LedgerProof, TreeHead
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,6 +34,11 @@ class VerifiedBundle:
     verified: tuple[VerifiedCredentials, ...]
     proofs: Mapping[str, LedgerProof]
     """Proofs by participant; a participant may have none."""
+
+    @property
+    def heads(self) -> dict[str, TreeHead]:
+        """The signed head of the ledger in each proof, by participant."""
+        return {name: each.checkpoint.head for name, each in self.proofs.items()}
 
     @property
     def files(self) -> dict[str, dict[str, bytes]]:
@@ -54,10 +58,7 @@ def verify_bundle(
     be left out. The proof may be missing unless `proof_demanded`. VerificationError lists
     everything that is wrong; MalformedError for a file that cannot be read.
     """
-    found = tuple(
-        Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
-        for name, files in bundle.enclaves.items()
-    )
+    found = bundle.credentials
     problems = [
         problem.of(each.name)
         for each in found

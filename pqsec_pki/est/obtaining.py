@@ -7,7 +7,6 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from http import HTTPStatus
 from pathlib import Path
-from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
@@ -15,19 +14,23 @@ from pqsec_pki._times import said
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, KEY, KEYS, PROOF
-from pqsec_pki.enrolment import REQUEST, Bundle, Pins, changing, install, requests
+from pqsec_pki.enrolment import REQUEST, Bundle, Pins, begin_problems, changing, install, requests
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError
 from pqsec_pki.est.client import EstClient, ServerAnswer
 from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.paths import PEM_FILE, REQUESTS
 from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.tls import TlsIdentity, is_for_tls
-from pqsec_pki.problems import Code
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.tokens import Pin, is_reference, stored_pin, uri_in
 
 CLOCKS_DIFFER = timedelta(minutes=5)
 """A smaller difference is not reported."""
 
+_OLDER_SERVER = (
+    "the server has less than this robot saw: its keystore is an older copy, or another one:"
+    " restore the newest"
+)
 Enclave = Mapping[str, bytes]
 
 
@@ -98,8 +101,12 @@ def answer_to(client: EstClient, request: bytes, patience: timedelta = timedelta
         time.sleep(wait)
 
 
-def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: datetime) -> None:
+def take(
+    answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: datetime
+) -> tuple[Problem, ...]:
     """Install the bundle in an answer, if it is one for the participant alone, without keys.
+
+    Returns what of it is of the future by the robot's clock.
 
     Errors as of `install`.
     """
@@ -111,7 +118,8 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
             "the server's bundle has private keys, which must be made on this robot"
         )
     try:
-        install(
+        _refuse_early(bundle, now)
+        done = install(
             answer.body,
             root,
             terms.pins,
@@ -120,18 +128,22 @@ def take(answer: ServerAnswer, name: str, root: Path, terms: KeyTerms, *, now: d
             pin=terms.pin,
         )
     except VerificationError as error:
-        if any(each.code is Code.OLDER for each in error.problems):
-            error.hint = (
-                "if it is of another domain, name another --dir; else `pqsec bundle` on the CA"
-                f" machine makes a bundle, and `pqsec install BUNDLE --older --dir"
-                f" {quote(str(root))}` installs it"
-            )
-        if answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
+        if not error.codes.isdisjoint({Code.OLDER, Code.PROOF_BAD, Code.LIST_MISSING}):
+            error.hint = _OLDER_SERVER
+        elif answer.date and abs(answer.date - now) > CLOCKS_DIFFER:
             error.hint = (
                 f"the time is {said(now)} here, and {said(answer.date)} at the server:"
                 " set the clock, and run the command again"
             )
         raise
+    return done.future
+
+
+def _refuse_early(bundle: Bundle, now: datetime) -> None:
+    """VerificationError for what is not valid yet; `install` alone may do without a right clock,
+    but a server says what time it is."""
+    if early := [each for one in bundle.credentials for each in begin_problems(one, now)]:
+        raise VerificationError(*early)
 
 
 def etag(name: str, files: Enclave, *, now: datetime) -> str:

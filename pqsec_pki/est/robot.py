@@ -35,6 +35,7 @@ from pqsec_pki.est.obtaining import (
 )
 from pqsec_pki.est.paths import BUNDLE, RECEIPT_TYPE, RECEIPTS
 from pqsec_pki.keystore import State, expanded, regular_name
+from pqsec_pki.problems import Problem
 
 _NEW_REQUEST = "make a new request: `pqsec enrol --force`, with the same options"
 Clock = Callable[[], datetime]
@@ -50,6 +51,8 @@ class Obtained:
     """Whether it has another certificate than before."""
     changed: bool
     """Whether it has anything else than before."""
+    future: tuple[Problem, ...] = ()
+    """What of it is of the future by the clock of this robot."""
 
     def to_json(self) -> dict[str, object]:
         """The participant, for JSON."""
@@ -58,6 +61,7 @@ class Obtained:
             "renewed": self.renewed,
             "changed": self.changed,
             "not_after": self.certificate.not_after,
+            "future": list(map(str, self.future)),
         }
 
 
@@ -81,7 +85,7 @@ def enrol(  # noqa: PLR0913 -- by name
     if not terms.trust_first:
         require_trust(root, terms.pins)
     with one_command(root):
-        before = installed(root).get(name, {})
+        before, future = installed(root).get(name, {}), tuple[Problem, ...]()
         if terms.force or is_requested(root, name) or not _is_enrolled(before, root, terms, clock):
             request = ask_for(root, name, terms, held_by(before) if before else None)
             try:
@@ -89,9 +93,9 @@ def enrol(  # noqa: PLR0913 -- by name
             except RequestEndedError as error:
                 error.hint = _NEW_REQUEST
                 raise
-            take(answer, name, root, terms, now=clock())
+            future = take(answer, name, root, terms, now=clock())
         KnownServer.of(client).save(root)
-        return _outcome(root, name, before)
+        return _outcome(root, name, before, future)
 
 
 def renew(  # noqa: PLR0913 -- by name
@@ -176,22 +180,23 @@ def _renewed(  # noqa: PLR0913 -- by name
     held, client = held_by(before), client_with(known, before, terms.pin)
     terms = with_places(terms, before)
     failed: PqsecError | None = None
+    future: tuple[Problem, ...] = ()
     state = State.at(now, held.not_before, held.not_after, due)
     if rekey or state.calls_for_renewal:
         try:
             answer = _answered(client, name, root, terms, held)
-            take(answer, name, root, terms, now=now)
-            return _outcome(root, name, before)
+            future = take(answer, name, root, terms, now=now)
+            return _outcome(root, name, before, future)
         except PqsecError as error:
             failed = error  # the newest list and documents are for the old certificate too
     # If an earlier request was answered, but not installed here, this is that answer.
     with suppress(*([PqsecError] if failed else [])):
         answer = client.get(BUNDLE, etag(name, before, now=now))
         if answer.status == HTTPStatus.OK:
-            take(answer, name, root, terms, now=now)
+            future = take(answer, name, root, terms, now=now)
     if failed:
         raise failed
-    return _outcome(root, name, before)
+    return _outcome(root, name, before, future)
 
 
 def _answered(
@@ -207,11 +212,12 @@ def _answered(
         return answer_to(client, ask_for(root, name, replace(terms, force=True), held))
 
 
-def _outcome(root: Path, name: str, before: Enclave) -> Obtained:
+def _outcome(root: Path, name: str, before: Enclave, future: tuple[Problem, ...]) -> Obtained:
     after = installed(root)[name]
     return Obtained(
         name=name,
         certificate=held_by(after),
         renewed=before.get(CERTIFICATE) != after[CERTIFICATE],
         changed=dict(before) != dict(after),
+        future=future,
     )

@@ -49,6 +49,7 @@ Questions:
     status_report        the states of participants, CAs, revocation list and governance
     overview             the CAs, profile, domains and participants
     overlap              whether two identity CAs are trusted, and which of them issues
+    signing_clock        whether the clock can be right when something is signed
     compromised          finds keys that were revoked as compromised
     anchoring            signed heads that are kept in another place
     auditing             whether the ledger is intact
@@ -75,7 +76,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._fetched_files import signed_document
     from pqsec_pki.keystore._gitignore import GITIGNORE, keystore_ignored, secrets_ignored
     from pqsec_pki.keystore._journal import change, resume
-    from pqsec_pki.keystore._ledger import Ledger
+    from pqsec_pki.keystore._ledger import ABOVE, Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
     from pqsec_pki.keystore._postgres_schema import schema_sql
     from pqsec_pki.keystore._settings import settings_file
@@ -104,7 +105,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.current_files import CurrentFiles
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
-    from pqsec_pki.keystore.heads import SeenLedger
+    from pqsec_pki.keystore.heads import SeenLedger, read_head
     from pqsec_pki.keystore.keystore import Keystore
     from pqsec_pki.keystore.layout import GENERATIONS, SETTINGS
     from pqsec_pki.keystore.layout import enclave_name as regular_name
@@ -141,11 +142,13 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.shared_requests import RequestRow, SharedRequests
+    from pqsec_pki.keystore.signing_clock import CLOCK_SKEW, was_ahead
     from pqsec_pki.keystore.states import (
         PERMITTED,
         Files,
         ParticipantState,
         State,
+        current_certificate,
         participant_states,
     )
     from pqsec_pki.keystore.status_report import (
@@ -161,7 +164,9 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "ABOVE",
     "APPROVAL",
+    "CLOCK_SKEW",
     "GENERATIONS",
     "GITIGNORE",
     "GROUP",
@@ -211,6 +216,7 @@ __all__ = [
     "check_pair",
     "checked_head",
     "compromised_keys_in",
+    "current_certificate",
     "document_entry",
     "enclave_files",
     "enrolled_by",
@@ -247,6 +253,7 @@ __all__ = [
     "policy_of",
     "predates_approvals",
     "read_anchors",
+    "read_head",
     "refuse_overlap",
     "registration",
     "registrations",
@@ -263,5 +270,6 @@ __all__ = [
     "status",
     "trust_entry",
     "trust_file",
+    "was_ahead",
     "write_anchor",
 ]

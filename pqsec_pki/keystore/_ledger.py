@@ -53,6 +53,8 @@ _CERTIFIED = (
 _SIZE = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
 Row: TypeAlias = tuple[int, str, str, str, str]
 """Number, kind, name, SHA-256 and chain value of a line."""
+ABOVE = "above"
+"""The detail of the first line for that number."""
 _ORIGIN = 32
 """Hexadecimal digits of a chain value that name a ledger."""
 
@@ -139,6 +141,14 @@ class Ledger:
             return _table.last(self._database)[0]
 
     @property
+    def above(self) -> int:
+        """The largest sequence number of a ledger that was lost before this one began; 0 if none
+        was."""
+        first = self._find("number = 1")
+        text = first[0].details.get(ABOVE, "") if first else ""
+        return int(text) if text.isdecimal() else 0
+
+    @property
     def origin(self) -> str:
         """The name of this ledger in its heads, by the chain value of its first line."""
         with self._errors():
@@ -176,6 +186,13 @@ class Ledger:
         place = _DETAIL.format("place")
         found = self._find(f"kind = ? AND {place} IS NOT NULL ORDER BY number", kind)
         return {str(each.details["place"]): each for each in found}
+
+    def last_of(self, *kinds: str) -> Entry | None:
+        """The newest entry of these kinds; None if there is none."""
+        marks = ", ".join("?" for _ in kinds)
+        # The + keeps SQLite from the index of kinds, by which it would sort all their lines.
+        found = self._find(f"+kind IN ({marks}) ORDER BY number DESC LIMIT 1", *kinds)
+        return next(iter(found), None)
 
     def count(self, kind: str, name: str) -> int:
         """The number of lines of that kind and name."""

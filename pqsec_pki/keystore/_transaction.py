@@ -5,7 +5,7 @@ Anything that would make a later step fail is refused here, before the keystore 
 
 import os
 import stat
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import field, replace
 from pathlib import Path
@@ -85,6 +85,17 @@ class Transaction:
     """Whether the ledger may be missing when the lines are written."""
     authorities: "Authorities | None" = None
     """The CAs that sign the ledger's next head, if their keys are at hand."""
+    clock_was_checked: bool = False
+
+    @property
+    def number(self) -> int:
+        """The sequence number of what this change signs: that of its first ledger line.
+
+        Each change adds lines, so a later one signs with a larger number, whatever clocks say. In a
+        ledger that `pqsec adopt` began again, it is also above the numbers of the lost one.
+        """
+        with self.opened_ledger() as ledger:
+            return ledger.above + ledger.size + 1
 
     def refuse_lines(self) -> None:
         """ExistsError if the database has lines already: a keystore begins its own ledger."""
@@ -139,8 +150,9 @@ class Transaction:
     def record(self, *entries: Entry) -> None:
         """Add entries for the ledger, written with the change.
 
-        KeystoreError if the ledger cannot be written, TooLargeError for a line that could not be
-        read again; UsageError as of `operator`.
+        KeystoreError if the ledger cannot be written, or something is signed with a clock that
+        cannot be right; TooLargeError for a line that could not be read again; UsageError as of
+        `operator`.
         """
         if not (self.entries or self.database):
             # A keystore has a ledger; a keystore that is being adopted has none.
@@ -149,6 +161,7 @@ class Transaction:
         for entry in entries:
             size = len(details_text(entry))
             TooLargeError.check("a line of the ledger", size, MAX_DETAILS, hint=_SMALLER)
+        self._refuse_wrong_clock(entries)
         name = operator()
         self.entries += [replace(entry, operator=name) for entry in entries]
 
@@ -157,6 +170,16 @@ class Transaction:
         if self.database is None and self.entries:
             with self._ledger_folder() as folder:
                 _file_store.refuse_full(folder, self.entries, begin=self.begins_ledger)
+
+    def _refuse_wrong_clock(self, entries: Sequence[Entry]) -> None:
+        """KeystoreError as of `refuse_wrong_clock`, by the time of the first lines of a change."""
+        if self.authorities is None or self.clock_was_checked or not entries:
+            return
+        from pqsec_pki.keystore.signing_clock import refuse_wrong_clock  # noqa: PLC0415 -- it imports authorities
+
+        with self.opened_ledger() as ledger:
+            refuse_wrong_clock(ledger, self.authorities, entries[0].made_at)
+        self.clock_was_checked = True
 
     def sign_head(self) -> None:
         """Stage the head of the ledger with the new lines, if the signers' keys were opened."""

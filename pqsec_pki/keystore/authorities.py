@@ -52,6 +52,9 @@ class Authorities:
     """The ML-DSA half of the permissions CA. It has its own certificate, which documents need
     not carry: they are sent in every handshake."""
     embed_certificate: bool
+    compares_clock: bool = False
+    """Whether `now` is what this machine's clock says, as in all commands: then nothing is signed
+    if the keystore says that it is wrong (`signing_clock`)."""
 
     @classmethod
     def create(
@@ -99,8 +102,19 @@ class Authorities:
         """Whether the keys of the signers were opened."""
         return not any(isinstance(each.key, _ClosedKey) for each in self.signers)
 
-    def sign(self, document: bytes, *, now: datetime, embed_certificate: bool = False) -> bytes:
-        """The S/MIME file of a document; KeystoreError if a signer has expired."""
+    def sign(
+        self,
+        document: bytes,
+        *,
+        number: int | None = None,
+        now: datetime,
+        embed_certificate: bool = False,
+    ) -> bytes:
+        """The S/MIME file of a document; KeystoreError if a signer has expired.
+
+        `number` is its sequence number, `Transaction.number` [default: none, for what no robot
+        installs].
+        """
         counter = self.countersigner
         for each in self.signers:
             end = each.certificate.not_after
@@ -115,6 +129,7 @@ class Authorities:
             Signer(self.permissions.certificate, self.permissions.key),
             countersigner=Signer(counter.certificate, counter.key) if counter else None,
             embed_certificate=self.embed_certificate or embed_certificate,
+            number=number,
             now=now,
         )
 

@@ -99,7 +99,7 @@ class Keystore:
         settings = _settings.settings_file(profile, domains, ledger)
         authorities = Authorities.create(profile, name, now=now, validity=validity, keys=keys)
         governance = Governance.protected(domains).to_xml()
-        signed = authorities.sign(governance, now=now)
+        signed = authorities.sign(governance, number=1, now=now)
         with _journal.change(root, address=ledger) as transaction:
             cls.refuse_occupied(root)
             transaction.refuse_lines()

@@ -4,13 +4,14 @@ It serves status, plan, renewals and rollovers. It is fast for thousands: no cer
 parsed. Files are compared with the ledger only if asked for (`_file_comparison.py`).
 """
 
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from datetime import datetime, timedelta
 from enum import StrEnum
 from sys import intern
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.keystore._chain import damaged_line, time_in
+from pqsec_pki.certificates import BACKDATE
+from pqsec_pki.keystore._chain import Entry, damaged_line, time_in
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.compromised import compromised_keys_in
 from pqsec_pki.keystore.keystore import Keystore
@@ -23,6 +24,8 @@ class State(StrEnum):
     """The state of a certificate or list, the most urgent first."""
 
     EXPIRED = "expired"
+    NOT_YET_VALID = "not-yet-valid"
+    """It begins later: it was made when the clock was ahead, or the clock is behind now."""
     PREVIOUS_CA = "previous-ca"
     """It was issued by an identity CA that has been replaced."""
     DUE = "due"
@@ -34,21 +37,31 @@ class State(StrEnum):
     """Its newest files are on another machine with the same ledger."""
 
     @classmethod
-    def at(cls, now: datetime, made: datetime, end: datetime, due: timedelta | None) -> "State":
-        """EXPIRED, DUE or VALID at `now`.
+    def at(
+        cls,
+        now: datetime,
+        made: datetime,
+        end: datetime,
+        due: timedelta | None,
+        *,
+        begin: datetime | None = None,
+    ) -> "State":
+        """EXPIRED, NOT_YET_VALID, DUE or VALID at `now`.
 
-        It is due if it ends within `due`; if that is None, when less than a third of its
-        validity is left.
+        It begins at `begin` [default: when it was `made`]. It is due if it ends within `due`; if
+        that is None, when less than a third of its validity is left.
         """
         if now > end:
             return cls.EXPIRED
+        if now < (made if begin is None else begin):
+            return cls.NOT_YET_VALID
         notice = (end - made) / 3 if due is None else due
         return cls.DUE if end - now <= notice else cls.VALID
 
     @property
     def calls_for_renewal(self) -> bool:
         """Whether `pqsec renew --due` would renew it."""
-        return self in {State.EXPIRED, State.DUE}
+        return self in {State.EXPIRED, State.NOT_YET_VALID, State.DUE}
 
 
 class Files(StrEnum):
@@ -121,6 +134,20 @@ class ParticipantState:
         }
 
 
+def current_certificate(lines: Sequence[Entry], now: datetime) -> str:
+    """SHA-256 of the certificate that a participant may use at `now`, of its lines, oldest first.
+
+    The newest that is valid; if none is, the newest. KeystoreError for a damaged line.
+    """
+    valid = (
+        each
+        for each in reversed(lines)
+        if State.at(now, each.made_at, each.ends, None, begin=each.made_at - BACKDATE)
+        in {State.VALID, State.DUE}
+    )
+    return next((each.sha256 for each in valid), lines[-1].sha256)
+
+
 Compare = Callable[[str, str, str], Files]
 """Compares the files of a name with the SHA-256 of its certificate and of its permissions."""
 
@@ -150,7 +177,7 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
         made_at, not_after = _times(name, at, end)
         files = compare(name, sha256, permissions)
         previous = issuer not in {"", authority}
-        by_time = State.at(now, made_at, not_after, due)
+        by_time = State.at(now, made_at, not_after, due, begin=made_at - BACKDATE)
         yield ParticipantState(
             name=name,
             state=_state(by_time, files, revoked=bool(revoked), previous=previous),

@@ -8,6 +8,7 @@ from datetime import datetime, timedelta
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
+from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.documents import Governance, Grant, Permissions
 from pqsec_pki.errors import KeystoreError, MissingError, located
 from pqsec_pki.keystore import layout
@@ -20,6 +21,7 @@ from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.keystore.patterns import nearest
+from pqsec_pki.keystore.signing_clock import signed_later
 from pqsec_pki.keystore.states import ParticipantState, State, participant_states
 from pqsec_pki.smime import document_in
 
@@ -47,12 +49,15 @@ class Status:
     """The most urgent first."""
     head: str
     """The ledger's head when it was read."""
+    future: tuple[tuple[str, datetime], ...] = ()
+    """What was signed later than now, as of `signed_later`: a clock is wrong, or was."""
 
     def to_json(self) -> dict[str, object]:
         """The state for --json."""
         return {
             "at": self.at.isoformat(timespec="seconds"),
             "shared": self.shared,
+            "future": dict(self.future),
             "counts": self.counts(),
             "participants": self.participants,
         }
@@ -121,11 +126,12 @@ def status(
         if wanted is not None:
             _refuse_unknown(ledger, wanted, found)
         crl = list_status(keystore, ledger, now=now, due=due)
+        future = tuple(signed_later(ledger, now))
     if comparison and keystore.to_change:
         comparison.save()
     found.sort(key=lambda each: (_URGENCY[each.state], each.not_after, each.name))
     shared = (*_authorities(keystore, now, due), *filter(None, [crl]))
-    return Status(now, shared, tuple(found), head)
+    return Status(now, shared, tuple(found), head, future)
 
 
 def list_status(
@@ -188,7 +194,8 @@ def _authorities(
 
 
 def _shared(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
-    state = State.at(now, entry.made_at, entry.ends, due)
+    begin = entry.made_at - BACKDATE if entry.kind == "crl" else entry.made_at
+    state = State.at(now, entry.made_at, entry.ends, due, begin=begin)
     return SharedStatus(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
 
 

@@ -73,6 +73,8 @@ class Issuer:
 
     keystore: Keystore
     authorities: Authorities
+    number: int
+    """The sequence number of what is issued, `Transaction.number`."""
     now: datetime
 
     def new_keys(
@@ -111,7 +113,7 @@ class Issuer:
         signed = b""
         if permissions:
             signed, entry = stage_permissions(
-                folder, self.authorities, name, permissions, now=self.now
+                folder, self.authorities, name, permissions, number=self.number, now=self.now
             )
             entries.append(entry)
         return Issued(
@@ -153,6 +155,7 @@ def stage_permissions(  # noqa: PLR0913 -- used within this room only
     name: str,
     permissions: Permissions,
     *,
+    number: int,
     now: datetime,
     subject: str = "",
     config_digest: str = "",
@@ -162,7 +165,7 @@ def stage_permissions(  # noqa: PLR0913 -- used within this room only
     With the subject of its certificate, the entry has the domains that are allowed now.
     """
     document = permissions.to_xml()
-    signed = authorities.sign(document, now=now)
+    signed = authorities.sign(document, number=number, now=now)
     folder.public(layout.PERMISSIONS_XML, document)
     folder.public(layout.PERMISSIONS, signed)
     details = {"mark": config_digest} if config_digest else {}

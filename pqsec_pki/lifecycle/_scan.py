@@ -16,6 +16,7 @@ from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import DomainSet, Governance, Permissions
 from pqsec_pki.errors import KeystoreError, PassphraseError, PqsecError, VerificationError
 from pqsec_pki.keystore import (
+    ABOVE,
     Entry,
     Keystore,
     certificate_entry,
@@ -42,6 +43,8 @@ class KeystoreScan:
     """The revocation list in the enclaves; the newest, if they differ."""
     entries: list[Entry] = field(default_factory=list)
     """New lines for the ledger."""
+    highest: int = 0
+    """The largest sequence number of the certificates and documents that are entered."""
     participants: dict[int, str] = field(default_factory=dict)
     """Serial number -> name."""
     refused: dict[str, str] = field(default_factory=dict)
@@ -88,6 +91,10 @@ class KeystoreScan:
                 place = str(path.relative_to(self.keystore.root))
                 self.refused[place] = f"a link to {path.readlink()}, which is not there"
         self._find_list(names)
+        if self.highest:  # what robots have is of a ledger that was lost: later ones are larger
+            first = self.entries[0]
+            details = {**first.details, ABOVE: str(self.highest)}
+            self.entries[0] = replace(first, details=details)
 
     def _check_ca_files(self) -> None:
         """Report further certificates in a CA's file, and CA keys that are missing or wrong."""
@@ -107,6 +114,7 @@ class KeystoreScan:
         with self._reported(f"{folder}/{layout.CERTIFICATE}") as path:
             certificate = self._certificate(name, path)
             self.participants[certificate.serial_number] = name
+            self.highest = max(self.highest, certificate.number or 0)
             with self._reported(f"{folder}/{layout.PERMISSIONS}") as signed:
                 permissions = Permissions.from_xml(self._document("permissions", name, signed))
                 details["domains"] = domains_of(permissions, certificate.subject_name)
@@ -130,6 +138,7 @@ class KeystoreScan:
         """The document in a signed file, verified with the permissions CA."""
         signed = read(path)
         verified = self.anchors.signed(signed)
+        self.highest = max(self.highest, verified.signatures[0].number or 0)
         self.entries.append(document_entry(kind, name, signed, self.now))
         return verified.document
 
@@ -143,7 +152,7 @@ class KeystoreScan:
                     twice = self.anchors.signed_twice
                     found.verify(self.identity_ca, require_alternative=twice)
                     lists[path] = found
-        self.list_file = max(lists, key=lambda path: lists[path].this_update, default=None)
+        self.list_file = max(lists, key=lambda path: lists[path].number or 0, default=None)
         if self.list_file:
             self._enter_list(lists[self.list_file], read(self.list_file))
 

@@ -86,7 +86,6 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     would be followed by one in a file, unless the spec `leaves_token`.
     """
     specs = _checked(keystore, specs, force=force)
-    issuer = Issuer(keystore, authorities, now)
     with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
@@ -101,6 +100,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
         ]
         for spec in specs:
             _clear(transaction, spec)
+        issuer = Issuer(keystore, authorities, transaction.number, now)
         make = partial(_make, issuer, shared, sign_permissions=sign_permissions)
         issued = shared_out(make, specs, folders)
         transaction.record(*records)
@@ -119,7 +119,12 @@ def _make(
 ) -> Issued:
     keys = spec.keys or issuer.new_keys(folder, spec.outside)
     certificate = issuer.authorities.identity.issue(
-        spec.name, keys.key, alternative=keys.alternative, now=issuer.now, validity=spec.validity
+        spec.name,
+        keys.key,
+        alternative=keys.alternative,
+        number=issuer.number,
+        now=issuer.now,
+        validity=spec.validity,
     )
     if keys.csr:
         folder.public(layout.REQUEST, keys.csr)

@@ -81,6 +81,7 @@ def sign_changed(
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
+        number = transaction.number
 
         def sign(wanted: PermissionsChange, folder: StagedFolder) -> Entry:
             there = keystore.root / layout.enclave_folder(wanted.name)
@@ -94,6 +95,7 @@ def sign_changed(
                 authorities,
                 wanted.name,
                 wanted.new,
+                number=number,
                 now=now,
                 subject=wanted.subject,
                 config_digest=PERMITTED + wanted.config_digest,

@@ -66,7 +66,6 @@ def renew(
     permissions that the CA did not sign.
     """
     regular = list(dict.fromkeys(map(layout.enclave_name, names)))
-    issuer = Issuer(keystore, authorities, now)
     if terms.rekey is None and _shows_new_keys(keystore):
         terms = replace(terms, rekey=False)
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
@@ -78,6 +77,7 @@ def renew(
         folders = [
             transaction.folder(layout.enclave_folder(name), private=False) for name in regular
         ]
+        issuer = Issuer(keystore, authorities, transaction.number, now)
         renewer = Renewer(issuer, inspector, terms)
         renewed = shared_out(renewer.make, regular, folders)
         for each in renewed:
@@ -115,7 +115,12 @@ class Renewer:
             keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
         validity = self.terms.validity or _length(old)
         certificate = self.issuer.authorities.identity.issue(
-            name, keys.key, alternative=keys.alternative, now=now, validity=validity
+            name,
+            keys.key,
+            alternative=keys.alternative,
+            number=self.issuer.number,
+            now=now,
+            validity=validity,
         )
         permissions, config_digest = None, ""
         if allowed:

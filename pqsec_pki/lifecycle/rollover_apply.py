@@ -98,13 +98,15 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
     passphrase: bytes | None = None,
     pin: Pin | None = None,
     keys: Keys = None,
+    compares_clock: bool = False,
     now: datetime,
 ) -> RolloverResult:
     """Execute the plan, or do nothing.
 
     `kept` are the keystore's CAs, if the plan's terms need them. New keys are encrypted under
     `passphrase`, which is also that of the key that an overlap has made; `pin` gives the PIN of a
-    token that has it. `keys` are keys of new CAs that are there already. KeystoreError if the
+    token that has it. `keys` are keys of new CAs that are there already. `compares_clock` is as
+    in `Authorities`. KeystoreError if the
     keystore was changed after the plan was made; VerificationError for documents that the old
     permissions CA did not sign.
     """
@@ -118,7 +120,7 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
             )
         made = _NewCas(plan, passphrase, pin, keys, now)
         if plan.terms.reissues:
-            cas = made.following(keystore, kept)
+            cas = replace(made.following(keystore, kept), compares_clock=compares_clock)
             transaction.authorities = cas
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
@@ -242,7 +244,7 @@ class _Execution:
 
     def _reissue(self) -> list[Issued]:
         """Reissue participants; add missing links, and remove files that they no longer need."""
-        issuer = Issuer(self.new, self.authorities, self.now)
+        issuer = Issuer(self.new, self.authorities, self.transaction.number, self.now)
         names = sorted((*self.plan.keeping, *self.plan.rekeyed))
         rekeyed = frozenset(self.plan.rekeyed)
 
@@ -272,7 +274,8 @@ class _Execution:
         old = read(there / layout.GOVERNANCE)
         with located(there / layout.GOVERNANCE):
             document = self.inspector.verified(old)
-        signed = self.authorities.sign(document, now=self.now)
+        number = self.transaction.number
+        signed = self.authorities.sign(document, number=number, now=self.now)
         folder.public(layout.GOVERNANCE, signed)
         sha256 = hashlib.sha256(old).hexdigest()
         entry = document_entry("governance", name, signed, self.now)

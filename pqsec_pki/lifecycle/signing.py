@@ -56,7 +56,7 @@ def sign_permissions(
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
         folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
-        signer = _Signer(keystore, authorities, inspector, now)
+        signer = _Signer(keystore, authorities, inspector, transaction.number, now)
         transaction.record(*shared_out(signer.sign_permissions, names, specs, folders))
 
 
@@ -73,9 +73,9 @@ def sign_governance(
     `config_digest` is copied into the ledger.
     """
     document = governance.to_xml()
-    signed = authorities.sign(document, now=now)
     with change(keystore.root, authorities) as transaction:
         refuse_growth(keystore, lambda: [changed_protection(keystore, governance)])
+        signed = authorities.sign(document, number=transaction.number, now=now)
         enclaves = transaction.folder(layout.ENCLAVES, private=False)
         enclaves.public(layout.GOVERNANCE_XML, document)
         enclaves.public(layout.GOVERNANCE, signed)
@@ -117,9 +117,11 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     `document` is not valid, UsageError for a time that no stack understands.
     """
     document = _DOCUMENTS[kind].from_xml(document).to_xml()
-    signed = authorities.sign(document, now=now, embed_certificate=embed_certificate)
     with change(keystore.root, authorities) as transaction:
         keystore.refuse_unapproved(Covered.GROW)
+        signed = authorities.sign(
+            document, number=transaction.number, now=now, embed_certificate=embed_certificate
+        )
         place = layout.document_folder(keystore.root, kind.value, goal)
         entry = document_entry(kind.value, str(goal), signed, now)
         transaction.record(entry if place is None else placed_entry(entry, place))
@@ -139,6 +141,7 @@ class _Signer:
     keystore: Keystore
     authorities: Authorities
     inspector: Inspector
+    number: int
     now: datetime
 
     def sign_permissions(self, name: str, spec: ParticipantSpec, folder: StagedFolder) -> Entry:
@@ -150,6 +153,7 @@ class _Signer:
             self.authorities,
             name,
             permissions_for(spec, certificate),
+            number=self.number,
             now=self.now,
             subject=certificate.subject_name,
             config_digest=spec.config_digest,

@@ -4,11 +4,12 @@ Every file is read once, even if several links lead to it, and parsed when first
 cannot be parsed is None, with a separate reason: subjects raise no errors.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
+from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Alone
@@ -21,6 +22,7 @@ from pqsec_pki.credentials import (
     PERMISSIONS,
     PERMISSIONS_ALT_CA,
     PERMISSIONS_CA,
+    Credentials,
     TrustAnchors,
 )
 from pqsec_pki.errors import PqsecError
@@ -32,6 +34,8 @@ from pqsec_pki.lint.file import Content, File
 from pqsec_pki.lint.profile import ProfileFile
 from pqsec_pki.lint.roles import CertificateRole, role_of
 from pqsec_pki.lint.signed import DocumentAndSigners
+from pqsec_pki.problems import Problem
+from pqsec_pki.transparency import TreeHead
 
 
 @dataclass(frozen=True)
@@ -81,6 +85,10 @@ class CertificateFile(Content):
         return next(iter(self.certificates), None)
 
 
+CompareHead: TypeAlias = Callable[[Path, Credentials, TreeHead], Iterable[Problem]]
+"""Finds problems of the verified head in the proof of the enclave in that folder."""
+
+
 @dataclass(frozen=True)
 class EnclaveFolder:
     """A folder with the credentials of one participant."""
@@ -95,6 +103,8 @@ class EnclaveFolder:
     now: datetime = field(repr=False)
     proof_demanded: bool = field(repr=False)
     """Whether it must have a proof that the ledger has its documents."""
+    compare_head: CompareHead | None = field(repr=False)
+    """Compares the head in its proof with what was seen there before."""
     subjects: Mapping[str, "Document | CertificateFile"] = field(repr=False)
     """The documents and certificates in its files, by file name."""
     shared_anchors: SharedAnchors = field(repr=False)

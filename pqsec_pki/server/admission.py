@@ -9,8 +9,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 from functools import cache, cached_property
+from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import exists, read
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import CertificateRequest
@@ -24,12 +26,14 @@ from pqsec_pki.keystore import (
     Keystore,
     Ledger,
     ParticipantState,
+    State,
+    current_certificate,
     key_hashes,
     order_in,
     participant_states,
     policy_of,
 )
-from pqsec_pki.lifecycle import PublicKeys
+from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
 from pqsec_pki.server.call import SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.deciding import REFUSAL, decision_on, demanded, end_of, is_late
@@ -88,7 +92,7 @@ class Admission:
         if holder.device:
             holder = self.requesters.device(holder.device, member, request, call)
         if self._was_answered(name, request, holder):
-            return Admitted(name, holder.by)
+            return self._again(member, held, holder, request)
         if member.by_order and (held is None or self._by_plan):
             raise NotAdmittedError(403, f"{name} {_BY_ORDER}")
         keys = _keys(request, name, self.keystore.profile)
@@ -109,6 +113,46 @@ class Admission:
             return Admitted(name, holder.by, line=line)
         spec = replace(member.spec(), keys=keys)
         return Admitted(name, holder.by, spec, line, replaces=held is not None)
+
+    def _again(
+        self,
+        member: Member,
+        held: ParticipantState | None,
+        holder: Requester,
+        request: CertificateRequest,
+    ) -> Admitted:
+        """The answer that it had; a new certificate if the one it had is not valid yet.
+
+        That one was issued when the clock was ahead, so the robot could not use the answer.
+        """
+        name = member.name
+        if held is None or held.state is not State.NOT_YET_VALID or self._by_plan:
+            return Admitted(name, holder.by)
+        self._refuse_wider(held, holder, member)
+        if self.taken[name]:
+            raise _being_answered()
+        self.taken.update((name,))
+        return Admitted(name, holder.by, self._spec_again(member, request), replaces=True)
+
+    def again(self, name: str, path: Path) -> ParticipantSpec | None:
+        """How to answer the participant's request at `path` again; None if that is not needed.
+
+        It is if its certificate is not valid yet. NotAdmittedError if the participant cannot be
+        requested over the network.
+        """
+        held = self._held(name)
+        if held is None or held.state is not State.NOT_YET_VALID or self._by_plan:
+            return None
+        if not exists(path):
+            return None  # the CA made its keys
+        member = self._member(name, "")
+        self._refuse_wider(held, Requester(name, ""), member)
+        return self._spec_again(member, CertificateRequest.from_pem(read(path)))
+
+    def _spec_again(self, member: Member, request: CertificateRequest) -> ParticipantSpec:
+        name = member.name
+        refuse_many(f"certificates of {name}", self._lines("participant", name), self.now)
+        return replace(member.spec(), keys=_keys(request, name, self.keystore.profile))
 
     def _refuse_undecided(
         self, request: CertificateRequest, name: str, call: SignerCall, *, planned: bool
@@ -135,9 +179,7 @@ class Admission:
         token = holder.token
         last = token is not None and token.used + self.taken[holder.by] >= token.uses
         if last or self.taken[name]:
-            raise NotAdmittedError(
-                503, "another request for the same is being answered", retry_after=1
-            )
+            raise _being_answered()
         self.taken.update((name, holder.by))
 
     def _refuse_used(self, holder: Requester, name: str) -> None:
@@ -246,7 +288,10 @@ class Admission:
                     " with --replace",
                 )
             return
-        if holder.certificate is None or held.sha256 != holder.certificate.fingerprint:
+        if holder.certificate is None or holder.certificate.fingerprint not in {
+            held.sha256,
+            current_certificate(self._lines("participant", held.name), self.now),
+        }:
             raise NotAdmittedError(403, f"this is not the current certificate of {held.name}")
         if not (self.policy.renew_any_time or held.state.calls_for_renewal):
             raise NotAdmittedError(
@@ -268,6 +313,11 @@ class Admission:
             return
         if not has_rights(self.keystore, member, held, now=self.now):
             raise NotAdmittedError(403, f"{held.name} {_OTHER_RIGHTS}")
+
+
+def _being_answered() -> NotAdmittedError:
+    words = "another request for the same is being answered"
+    return NotAdmittedError(503, words, retry_after=1)
 
 
 def _ended(status: int, words: str) -> NotAdmittedError:

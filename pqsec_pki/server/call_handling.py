@@ -5,7 +5,7 @@ from what the keystore has then, so the answer to a repeated request is the same
 """
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import datetime, timedelta
 from functools import cached_property
 from pathlib import Path
@@ -14,7 +14,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
 from pqsec_pki.domain import Desired
 from pqsec_pki.enrolment import Bundle
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.est import (
     BUNDLE_TYPE,
     CSRATTRS,
@@ -36,6 +36,8 @@ from pqsec_pki.keystore import (
     files_elsewhere,
     layout,
     load_certificate,
+    read_head,
+    was_ahead,
 )
 from pqsec_pki.lifecycle import fetch_files, issue
 from pqsec_pki.server.admission import Admission
@@ -156,8 +158,14 @@ class CallHandler:
                 elsewhere = self._fetched(ledger, again)
             if not admitted:
                 return [each for each in found if isinstance(each, SignerAnswer)]
+            try:
+                self._refuse_unusable()
+            except PqsecError as error:
+                unable = unavailable(error)
+                return [each if isinstance(each, SignerAnswer) else unable for each in found]
             self._record(admitted)
             failures = self._issue([each for each in admitted if each.spec])
+            self._sign_head()
             done = [each for each in admitted if each.line and each.name not in failures]
             self.waiting.remove(*(request_of(each.line) for each in done if each.line))
             with BundleNumbers.of(self.keystore, self.tree) as numbers:
@@ -175,10 +183,41 @@ class CallHandler:
         ledger = self.keystore.as_found.open_ledger()
         try:
             self.seen.refuse_less(self.keystore.root, ledger)
+            self._recover_clock(ledger)
         except BaseException:
             ledger.close()
             raise
         return ledger
+
+    def _recover_clock(self, ledger: Ledger) -> None:
+        """Issue a list now if the clock was ahead: its line comes before what is issued."""
+        if was_ahead(ledger, self.authorities, self.clock()):
+            self.keep_list()
+
+    def _refuse_unusable(self) -> None:
+        """VerificationError if no robot could use what the server has for all of them now.
+
+        The CAs, the list, and the governance. Asked before a certificate is issued and a token is
+        used, so that an answer that admits a robot is one that it can install.
+        """
+        anchors, now = self.keystore.anchors, self.clock()
+        problems = [*anchors.problems(now), *anchors.list_problems(now)]
+        if problems:
+            raise VerificationError(*problems)
+        anchors.signed_governance(self.keystore.governance)
+
+    def _sign_head(self) -> None:
+        """Sign a head over the lines that other servers with this ledger added.
+
+        A robot refuses a head that is smaller than one that another server gave it.
+        """
+        if not self.keystore.ledger_address:
+            return
+        with self.keystore.open_ledger() as ledger:
+            head, size = read_head(self.keystore.root), ledger.size
+        if head and head.head.size < size:
+            with change(self.keystore.root, self.authorities):
+                pass  # each change with the CA keys signs one
 
     def _admission(self, ledger: Ledger) -> Admission:
         return Admission(
@@ -252,6 +291,10 @@ class CallHandler:
 
     def _ready(self) -> SignerAnswer:
         self.authorities.refuse_outdated(self.keystore.root)
+        try:
+            self._refuse_unusable()
+        except VerificationError as error:
+            return replace(unavailable(error), detail=f"not ready: {error}")
         return SignerAnswer(status=200, body=b"ready\n", media_type=TEXT)
 
     def _ca_certificates(self) -> SignerAnswer:
@@ -270,8 +313,25 @@ class CallHandler:
             newest = ledger.of_name("participant", name)[-1].sha256
         if elsewhere or self._here(name) != newest:
             raise misdirected(name)
+        self._issue_again(name)
+        self._sign_head()
         with BundleNumbers.of(self.keystore, self.tree) as numbers:
             return self._bundle(name, numbers)
+
+    def _issue_again(self, name: str) -> None:
+        """Answer the participant's request again, if the certificate that it got is not valid yet.
+
+        It was issued when the clock was ahead. Errors as of `issue`.
+        """
+        path = self.keystore.root / layout.enclave_folder(name) / layout.REQUEST
+        with self.keystore.hold(keep_connection=True):
+            with self.keystore.open_ledger() as ledger:
+                self.seen.refuse_less(self.keystore.root, ledger)
+                spec = self._admission(ledger).again(name, path)
+                if spec:
+                    self._recover_clock(ledger)
+            if spec:
+                issue(self.keystore, self.authorities, [spec], now=self.clock(), force=True)
 
     def _here(self, name: str) -> str:
         """The SHA-256 of the participant's certificate in the keystore; empty if it has none."""

@@ -68,7 +68,10 @@ class Requester:
 
 
 def refuse_many(what: str, lines: Iterable[Entry], now: datetime) -> None:
-    """NotAdmittedError if MOST_OF_DAY of these lines of the ledger are of the last day."""
-    if sum(now - each.made_at < _DAY for each in lines) >= MOST_OF_DAY:
+    """NotAdmittedError if MOST_OF_DAY of these lines of the ledger are of the last day.
+
+    Lines of the future, when a clock was ahead, do not count.
+    """
+    if sum(timedelta() <= now - each.made_at < _DAY for each in lines) >= MOST_OF_DAY:
         words = f"there were {MOST_OF_DAY} {what} within a day: ask again later"
         raise NotAdmittedError(429, words, retry_after=_HOUR)

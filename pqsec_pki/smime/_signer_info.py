@@ -24,7 +24,7 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Digest, PrivateKey, PublicKey, digest_of
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import SEQUENCE_NUMBER, Certificate, read_sequence_number
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, problems_of
 from pqsec_pki.problems import Code, Problem
 
@@ -34,6 +34,7 @@ _MESSAGE_DIGEST = "1.2.840.113549.1.9.4"
 _SIGNING_TIME = "1.2.840.113549.1.9.5"
 COUNTERSIGNATURE = "1.2.840.113549.1.9.6"
 _ALGORITHM_PROTECTION = "1.2.840.113549.1.9.52"
+_SEQUENCE_NUMBER = SEQUENCE_NUMBER.dotted_string
 _NULL = b"\x05\x00"
 
 
@@ -45,8 +46,18 @@ class Signer:
     key: PrivateKey = field(repr=False)
 
 
-def make(signer: Signer, content: bytes, *, now: datetime, counter: bool = False) -> SignerInfo:
-    """The SignerInfo over `content`; with `counter`, a countersignature over a signature."""
+def make(
+    signer: Signer,
+    content: bytes,
+    *,
+    now: datetime,
+    number: int | None = None,
+    counter: bool = False,
+) -> SignerInfo:
+    """The SignerInfo over `content`, with the sequence number `number`.
+
+    With `counter`, it is a countersignature over a signature.
+    """
     row = signer.key.algorithm
     digest = algorithm(row.digest.oid)
     identifier = decode(AlgorithmIdentifier, row.identifier, "AlgorithmIdentifier")
@@ -58,6 +69,8 @@ def make(signer: Signer, content: bytes, *, now: datetime, counter: bool = False
     ]
     if not counter:
         attributes.append(attribute(_CONTENT_TYPE, encode(Oid(DATA))))
+    if number is not None:
+        attributes.append(attribute(_SEQUENCE_NUMBER, encode(number)))
     return SignerInfo(
         version=1,
         sid=IssuerAndSerialNumber(
@@ -105,9 +118,24 @@ def problems(
 
 def signing_time(info: SignerInfo) -> datetime | None:
     """The signing time that the signer states; None if there is none."""
+    value = _single(info, _SIGNING_TIME)
+    return None if value is None else read_time(value, "signing time")
+
+
+def sequence_number(info: SignerInfo) -> int | None:
+    """The sequence number that the signer states (RFC 2985 5.3.5); None if there is none.
+
+    MalformedError if it is not a number that `read_sequence_number` takes.
+    """
+    value = _single(info, _SEQUENCE_NUMBER)
+    return None if value is None else read_sequence_number(value)
+
+
+def _single(info: SignerInfo, oid: str) -> bytes | None:
+    """DER of the only value of that signed attribute; None if it has none or several."""
     for each in info.signed_attributes or []:
-        if each.type.dotted_string == _SIGNING_TIME and len(each.values.as_list()) == 1:
-            return read_time(encode(each.values.as_list()[0]), "signing time")
+        if each.type.dotted_string == oid and len(each.values.as_list()) == 1:
+            return encode(each.values.as_list()[0])
     return None
 
 

@@ -48,6 +48,8 @@ class FoundSignature:
     algorithm: SignatureAlgorithm
     countersignature: bool
     signed_at: datetime | None
+    number: int | None = None
+    """The sequence number (RFC 2985 5.3.5): a keystore signs later documents with larger ones."""
 
     def to_json(self) -> dict[str, object]:
         """Its values, for JSON."""
@@ -56,6 +58,7 @@ class FoundSignature:
             "family": self.algorithm.family.value,
             "countersignature": self.countersignature,
             "signed_at": self.signed_at,
+            "number": self.number,
         }
 
 
@@ -84,23 +87,25 @@ class Verified:
         return _canonical.file_of(*self._parts)
 
 
-def sign(
+def sign(  # noqa: PLR0913 -- the rarer ones by name
     document: bytes,
     signer: Signer,
     *,
     countersigner: Signer | None = None,
     embed_certificate: bool = True,
+    number: int | None = None,
     now: datetime,
 ) -> bytes:
     """The S/MIME file of `document` (LF line ends on disk).
 
     `countersigner` signs the signature, in an unsigned attribute that stock stacks
     skip. Stock stacks (Cyclone DDS 0.10, Fast DDS 2.9) need the signer's certificate
-    embedded; peers that pin it do not. MalformedError if no stack can read the file:
+    embedded; peers that pin it do not. `number` is the document's sequence number, by which robots
+    know an older one. MalformedError if no stack can read the file:
     `document` has a NUL, or is over 8 MiB with its signature.
     """
     content = _mime.content_of(document)
-    info = _signer_info.make(signer, content, now=now)
+    info = _signer_info.make(signer, content, now=now, number=number)
     counters = (
         [_signer_info.make(countersigner, info.signature, now=now, counter=True)]
         if countersigner
@@ -134,7 +139,12 @@ def verify(
         problems = list(_problems(info, reading.content, ca))
         counters = _counters(info)
         signatures, refused = _check_counters(counters, info, alternative_ca)
-        main = FoundSignature(ca.public_key.algorithm, False, _signer_info.signing_time(info))  # noqa: FBT003 -- field
+        main = FoundSignature(
+            ca.public_key.algorithm,
+            countersignature=False,
+            signed_at=_signer_info.signing_time(info),
+            number=_signer_info.sequence_number(info),
+        )
     except VerificationError:
         raise
     except PqsecError as error:

@@ -38,6 +38,8 @@ class ListedSigner:
     has_attributes: bool
     """Whether the signature covers attributes, with the document's digest among them."""
     signed_at: datetime | None
+    number: int | None
+    """The sequence number, if there is one."""
     countersigners: "tuple[ListedSigner, ...]" = ()
 
 
@@ -83,6 +85,7 @@ class _Lister:
             digest=_digest(info.digest_algorithm.algorithm.dotted_string),
             has_attributes=bool(info.signed_attributes),
             signed_at=_signer_info.signing_time(info),
+            number=_signer_info.sequence_number(info),
             countersigners=tuple(self.signers(list(_signer_info.countersignatures(info)))),
         )
 

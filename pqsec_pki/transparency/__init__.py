@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.transparency.checkpoint import Checkpoint, TreeHead, key_id
+    from pqsec_pki.transparency.checkpoint import HASH, Checkpoint, TreeHead, key_id
     from pqsec_pki.transparency.extension import HeadExtension
     from pqsec_pki.transparency.proof import LedgerProof, ProvenLine, leaf_of
     from pqsec_pki.transparency.tree import (
@@ -26,6 +26,7 @@ else:
 
 __all__ = [
     "EMPTY",
+    "HASH",
     "Checkpoint",
     "CompactRange",
     "HeadExtension",

@@ -126,13 +126,14 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
     assert all(samples)
     assert {sample[1] for sample in samples} == {
         "pqsec_ledger_whole",
+        "pqsec_clock_right",
         "pqsec_not_after_seconds",
         "pqsec_participant_info",
         "pqsec_participants",
         "pqsec_status_seconds",
     }
     typed = [line.split()[2] for line in lines if line.startswith("# TYPE")]
-    assert len(typed) == len(set(typed)) == 5
+    assert len(typed) == len(set(typed)) == 6
     place = f'keystore="{tmp_path}/k"'
     kind = 'profile="classical",domains="0"'
 

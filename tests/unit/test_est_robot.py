@@ -341,8 +341,10 @@ def test_a_server_that_went_back_in_time_is_refused_and_the_marks_stay(
     renewed(server, enrolled, at=NOW + 2 * DAY)
     before, marks = files(enrolled), (enrolled / "trust.json").read_bytes()
     server.keystore = Keystore.open(place / "older")
-    with pytest.raises(VerificationError, match="older than one installed before"):
+    with pytest.raises(VerificationError, match="older than one installed before") as refused:
         renewed(server, enrolled, at=NOW + 2 * DAY)
+    assert "--older" not in refused.value.hint  # an option of `install` only
+    assert "restore the newest" in refused.value.hint
     assert files(enrolled) == before
     assert (enrolled / "trust.json").read_bytes() == marks
 

@@ -72,6 +72,7 @@ def test_who_is_revoked_or_gone_comes_last_and_is_not_due(keystore):
     assert standing.due == ["/p300"]
     counts = {
         "expired": 0,
+        "not-yet-valid": 0,
         "previous-ca": 0,
         "due": 1,
         "valid": 0,

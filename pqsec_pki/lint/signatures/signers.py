@@ -2,8 +2,9 @@
 
 from collections.abc import Iterator
 
+from pqsec_pki._times import said
 from pqsec_pki.algorithms import Family as Strength
-from pqsec_pki.certificates import Certificate, name_text
+from pqsec_pki.certificates import BACKDATE, Certificate, name_text
 from pqsec_pki.lint._keys import family_of
 from pqsec_pki.lint.document import same_lines
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
@@ -122,6 +123,27 @@ def differs_from_xml(inventory: Inventory) -> Iterator[Violation]:
         text = file.signed_text[0] if plain else None
         if plain and text is not None and not same_lines(text, plain.data):
             yield Violation(f"differs from {plain.path.name}", path=file.path)
+
+
+@lint_rule(
+    "PQS348", Severity.WARNING, "a keystore's document was signed in the future",
+    why="A signing time that is more than a day ahead shows a wrong clock: of the CA then, or of"
+    " this machine now. Other things of that time end too late, or are not valid yet. Robots take"
+    " newer documents all the same: these have larger numbers.",
+    fix="Set the clock. If it is right, sign again: `pqsec sign-governance` and `pqsec renew`.",
+    bad="""
+        $ cp k/public/permissions_ca.cert.pem k/enclaves/governance.p7s .
+        # 2 days earlier
+    """,
+    good="# 20 hours earlier",
+)  # fmt: skip
+def signed_in_the_future(inventory: Inventory) -> Iterator[Violation]:
+    for each in inventory.signed_documents:
+        ours = (signer for signer in each.file.signers if is_by(signer, each.ca) and signer.number)
+        at = [signer.signed_at for signer in ours]
+        late = max(filter(None, at), default=inventory.now)
+        if late > inventory.now + BACKDATE:
+            yield Violation(f"was signed {said(late)}, which is in the future", path=each.file.path)
 
 
 def _is_for_stock(document: DocumentAndSigners) -> bool:
