@@ -52,6 +52,8 @@ Questions:
     bundle_numbers       the number of a bundle, by the ledger's lines about its files
     receipt              what a robot says that it runs, and its line in the ledger
     robots               what each robot runs and should run, by the newest receipts
+    superseded           certificates that were replaced and are still valid
+    delivery             which robots lack the newest revocation list, and what they accept
 """
 
 from typing import TYPE_CHECKING
@@ -91,6 +93,15 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.delivery import (
+        ADMISSION,
+        MOST_SHOWN,
+        AcceptedCertificate,
+        LateRobot,
+        ListDelivery,
+        Way,
+        list_delivery,
+    )
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.heads import SeenLedger
     from pqsec_pki.keystore.keystore import Keystore
@@ -145,14 +156,17 @@ if TYPE_CHECKING:
         signed_grants,
         status,
     )
+    from pqsec_pki.keystore.superseded import superseded_certificates, superseded_in
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "ADMISSION",
     "APPROVAL",
     "GENERATIONS",
     "GROUP",
     "GROUP_NAME",
+    "MOST_SHOWN",
     "ORDER",
     "PERMITTED",
     "PLAN",
@@ -160,6 +174,7 @@ __all__ = [
     "RECEIPT",
     "SETTINGS",
     "WAIT",
+    "AcceptedCertificate",
     "Anchored",
     "Authorities",
     "BundleNumbers",
@@ -167,10 +182,12 @@ __all__ = [
     "Files",
     "InstallState",
     "Keystore",
+    "LateRobot",
     "Ledger",
     "LedgerAddress",
     "LedgerFile",
     "Line",
+    "ListDelivery",
     "Overlap",
     "Overview",
     "ParticipantState",
@@ -187,6 +204,7 @@ __all__ = [
     "State",
     "Status",
     "Transaction",
+    "Way",
     "anchored_head",
     "approval_entries",
     "audit",
@@ -212,6 +230,7 @@ __all__ = [
     "key_hashes",
     "layout",
     "lines_since",
+    "list_delivery",
     "list_entry",
     "list_status",
     "load_ca_key",
@@ -241,6 +260,8 @@ __all__ = [
     "signed_governance",
     "signed_grants",
     "status",
+    "superseded_certificates",
+    "superseded_in",
     "trust_entry",
     "trust_file",
     "write_anchor",

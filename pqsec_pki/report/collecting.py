@@ -13,7 +13,17 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.keystore import Keystore, Line, RobotState, Status, audit, robot_states
+from pqsec_pki.keystore import (
+    Entry,
+    Keystore,
+    Line,
+    RobotState,
+    Status,
+    audit,
+    list_delivery,
+    robot_states,
+    superseded_certificates,
+)
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
 from pqsec_pki.migration import MigrationPlan
@@ -63,6 +73,7 @@ def report_of(
     """
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
+    superseded = made.part(EVENTS, lambda: superseded_certificates(keystore, now=now))
     lines = made.part(EVENTS, keystore.lines)
     checked, fleet = made.verified()
     authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
@@ -74,7 +85,7 @@ def report_of(
         at=now,
         version=__version__,
         command=command,
-        participants=_of(status, lambda found: tuple(_participants(found))),
+        participants=_of(status, lambda found: tuple(_participants(found, superseded or {}))),
         authorities=_authorities(keystore, status, authorities),
         rights=made.of(fleet, RIGHTS, lambda found: rights_of(found, keystore.root, now)),
         endings=_of(status, lambda found: endings_of(found, fleet)),
@@ -86,6 +97,11 @@ def report_of(
         events=_of(lines, events_of),
         sizes=_of(checked, lambda found: _sizes(found.inventory)),
         robots=made.of(status, ROBOTS, lambda found: _robots(keystore, found)),
+        delivery=made.of(
+            status,
+            ROBOTS,
+            lambda found: list_delivery(keystore, now=now, participants=found.participants),
+        ),
         evidence=made.of(lines, EVIDENCE, lambda found: _evidence(keystore, found)),
         gaps=tuple(dict.fromkeys(made.gaps)),
     )
@@ -163,7 +179,9 @@ class _ReportMaker:
         return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)
 
 
-def _participants(status: Status) -> Iterator[ParticipantRow]:
+def _participants(
+    status: Status, superseded: Mapping[str, tuple[Entry, ...]]
+) -> Iterator[ParticipantRow]:
     for each in sorted(status.participants, key=lambda each: each.name):
         yield ParticipantRow(
             name=each.name,
@@ -172,6 +190,7 @@ def _participants(status: Status) -> Iterator[ParticipantRow]:
             profile=each.profile or "",
             domains=each.domains or "",
             serial=each.serial,
+            superseded=tuple(old.ends for old in superseded.get(each.name, ())),
         )
 
 
