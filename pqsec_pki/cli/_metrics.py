@@ -9,9 +9,10 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read, write
 from pqsec_pki.errors import ExistsError
-from pqsec_pki.keystore import Keystore, RobotState, State, Status
+from pqsec_pki.keystore import Keystore, ListDelivery, RobotState, State, Status
 
 _FIRST_LINE = "# HELP pqsec_not_after_seconds When it ends, as Unix time.\n"
 
@@ -19,11 +20,52 @@ Sample = tuple[dict[str, str], int]
 """Labels and value."""
 
 
-def write_metrics(
+@dataclass(frozen=True, slots=True)
+class ListMetrics:
+    """How far the newest revocation list got, and how much it does not end."""
+
+    delivery: ListDelivery | None
+    superseded: int
+    """How many certificates were replaced and are still valid."""
+
+    def lines(self, root: str) -> Iterator[str]:
+        """The metrics; those of a list only if there is one."""
+        yield from _metric(
+            "superseded_certificates",
+            "How many certificates were replaced, and are neither expired nor revoked.",
+            [({"keystore": root}, self.superseded)],
+        )
+        if self.delivery:
+            yield from _metric(
+                "revocation_list_robots",
+                "How many robots have the newest revocation list, lack it, or sent no receipt.",
+                _robots(root, self.delivery),
+            )
+            until = self.delivery.until
+            yield from _metric(
+                "revoked_accepted_until_seconds",
+                "Until when robots may accept revoked certificates, as Unix time; 0 if none does.",
+                [({"keystore": root}, int(until.timestamp()) if until else 0)],
+            )
+
+
+def _robots(root: str, delivery: ListDelivery) -> Iterator[Sample]:
+    lacking = len(delivery.late) - delivery.without_receipt
+    counts = {
+        "has": delivery.robots - len(delivery.late),
+        "lacks": lacking,
+        "unknown": delivery.without_receipt,
+    }
+    for list_, count in counts.items():
+        yield {"keystore": root, "list": list_}, count
+
+
+def write_metrics(  # noqa: PLR0913 -- what there is to write
     path: Path,
     keystore: Keystore,
     standing: Status,
     robots: Mapping[str, RobotState],
+    lists: ListMetrics,
     *,
     is_whole: bool,
 ) -> None:
@@ -32,7 +74,13 @@ def write_metrics(
         raise ExistsError(
             f"{path} exists and is not a metrics file of pqsec", hint="choose another file"
         )
-    write(path, "".join(_lines(keystore, standing, robots, is_whole)).encode(), force=True)
+    lines = [*_lines(keystore, standing, robots, is_whole), *lists.lines(_root(keystore))]
+    write(path, "".join(lines).encode(), force=True)
+
+
+def _root(keystore: Keystore) -> str:
+    """The label of all metrics."""
+    return str(keystore.root.resolve())
 
 
 def _lines(
@@ -41,7 +89,7 @@ def _lines(
     robots: Mapping[str, RobotState],
     is_whole: bool,  # noqa: FBT001 -- used here only
 ) -> Iterator[str]:
-    root = str(keystore.root.resolve())
+    root = _root(keystore)
     yield from _metric("not_after_seconds", "When it ends, as Unix time.", _ends(root, standing))
     yield from _metric(
         "participant_info",

@@ -131,7 +131,8 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             chosen = keystore.named(params["subjects"])
             if not chosen and not params["files"]:
                 raise UsageError("nothing to revoke")
-            for each in revocable(keystore, chosen, certificates_in(params["files"]), now=now):
+            files, only = certificates_in(params["files"]), params["superseded"]
+            for each in revocable(keystore, chosen, files, superseded=only, now=now):
                 until = said(each.ends)
                 yield _change(each.name, f"revoked: serial number {each.serial}, until {until}")
         case "ca rotate":

@@ -1,15 +1,68 @@
-"""What rights that `pqsec permit --remove` does not find may have meant."""
+"""What `pqsec permit --remove` says: what rights that it does not find may have meant, until when
+the permissions that were signed before still work, and how to end them now."""
 
-from collections.abc import Collection
+import shlex
+from collections.abc import Collection, Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
 from typing import Any
 
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
 from pqsec_pki.access import Action, TopicRights, granted_topics
 from pqsec_pki.cli import _printing
 from pqsec_pki.cli._participant_options import SINGLE_TOPICS, topics_of
 from pqsec_pki.documents import Grant, ros
 from pqsec_pki.errors import meant
+from pqsec_pki.keystore import ListDelivery
 
 _DOING = {Action.PUBLISH: "publishing", Action.SUBSCRIBE: "subscribing to"}
+
+
+@dataclass(frozen=True, slots=True)
+class Removal:
+    """What a removal of rights does not end."""
+
+    keystore: Path
+    earlier: Mapping[str, datetime]
+    """Until when documents that were signed before can be used, by participant."""
+    delivery: ListDelivery | None
+
+    def to_json(self) -> dict[str, object]:
+        """It for --json."""
+        return {
+            "earlier": [{"name": name, "until": end} for name, end in self.earlier.items()],
+            "commands": self.commands if self.earlier else (),
+            "delivery": self.delivery,
+        }
+
+    @property
+    def commands(self) -> tuple[str, str]:
+        """The two commands that each end the earlier documents now."""
+        keystore = f"pqsec -k {shlex.quote(str(self.keystore))}"
+        names = " ".join(map(shlex.quote, self.earlier))
+        return (
+            f"{keystore} revoke {names} --reason privilegeWithdrawn --yes",
+            f"{keystore} ca rotate --only permissions --apply --yes",
+        )
+
+    @property
+    def lines(self) -> Iterator[str]:
+        """It for people."""
+        if self.earlier:
+            names, until = _printing.few(self.earlier), said(max(self.earlier.values()))
+            revoke, rotate = self.commands
+            yield (
+                f"the permissions that were signed before stay valid until {until} for whoever puts"
+                f" permissions.p7s back on the robot of {names}"
+            )
+            yield (
+                "to end them now, revoke it, and issue it under another name, which they do not"
+                f" have: {revoke}"
+            )
+            yield f"or replace the permissions CA, and copy its files to every robot: {rotate}"
+        if self.delivery:
+            yield from self.delivery.lines
 
 
 def note_not_granted(given: dict[str, Any], grants: Collection[Grant]) -> None:

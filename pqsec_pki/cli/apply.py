@@ -12,11 +12,13 @@ from pqsec_pki._progress import stage
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._plan_file import command_of, plan_in, refuse_choices, run_command
+from pqsec_pki.cli._superseded import note_superseded
 from pqsec_pki.cli.plan import (
     PROPOSAL_SUFFIX,
     chosen_ca,
     file_argument,
     new_keys_option,
+    note_ended,
     note_left,
     note_roles,
     only_option,
@@ -39,7 +41,10 @@ from pqsec_pki.domain import (
 from pqsec_pki.domain import plan as plan_steps
 from pqsec_pki.enrolment import refresh
 from pqsec_pki.errors import PqsecError, UsageError
-from pqsec_pki.keystore import Authorities, Keystore, SigningCa
+from pqsec_pki.keystore import Authorities, Keystore, SigningCa, list_delivery
+
+_ON_LIST = {StepAction.REVOKE, StepAction.RENEW_CRL, StepAction.RENEW}
+"""Steps that issue a revocation list, or may."""
 
 
 @_help.command(
@@ -55,7 +60,7 @@ from pqsec_pki.keystore import Authorities, Keystore, SigningCa
         ),
     },
     exit_codes={
-        0: "the keystore matches the file",
+        0: "the keystore matches the file, but for participants that were revoked",
         1: (
             "FILE is not valid, a participant stays blocked, or with --check there are changes to"
             " make; or a plan does not fit, or has too few approvals"
@@ -280,7 +285,9 @@ class _BundleWriter:
         """Write bundles for all participants with keys on robots; returns the paths."""
         if self.folder is None:
             return []
-        wanted = self.desired.members.keys() - {each.name for each in self.found.blocked}
+        left = {each.name for each in self.found.blocked}
+        left |= {each.name for each in self.found.ended}
+        wanted = self.desired.members.keys() - left
         has, has_key = self.keystore.has, self.keystore.has_key
         elsewhere = sorted(name for name in wanted if has(name) and not has_key(name))
         try:
@@ -325,10 +332,13 @@ def _report(
             " restart all participants of a domain together; run apply again for other changes"
         )
     _note_blocked(found)
+    note_ended(found)
     note_roles(desired)
     note_left(found)
-    if any(step.action in {StepAction.REVOKE, StepAction.RENEW_CRL} for step in done):
-        _printing.note("there is a new revocation list: copy it to every robot")
+    now, replacing = _settings.now(), {StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW}
+    note_superseded(keystore, [each.name for each in done if each.action in replacing], now)
+    on_list = any(step.action in _ON_LIST for step in done)
+    delivery = list_delivery(keystore, now=now) if on_list else None
     changed = {step.name for step in done if step.name and step.action is not StepAction.REVOKE}
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]
     if waiting and not written:
@@ -342,8 +352,10 @@ def _report(
         for action, each in names.items()
     ]
     lines += [f"bundles: {len(written)}"] if written else []
+    lines += delivery.lines if delivery and delivery.late else ()
     value = replace(found, steps=tuple(done)).to_json()
-    _printing.emit(value | {"done": True, "bundles": written}, lines)
+    value |= {"done": True, "bundles": written}
+    _printing.emit(value | ({"delivery": delivery} if delivery else {}), lines)
 
 
 def _note_blocked(found: Plan) -> None:

@@ -22,6 +22,7 @@ from pqsec_pki.keystore import (
     LedgerAddress,
     SigningCa,
     key_algorithms,
+    list_delivery,
     overview_of,
 )
 from pqsec_pki.lifecycle import renew_list
@@ -240,8 +241,9 @@ def crl(
     if out:
         with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):
             write(out, found.pem, force=force)
-    value = {"list": keystore.revocation_list_path, **found.to_json()}
-    _printing.emit(value, [list_line(keystore, found)])
+    delivery = list_delivery(keystore, now=_settings.now())
+    value = {"list": keystore.revocation_list_path, **found.to_json(), "delivery": delivery}
+    _printing.emit(value, [list_line(keystore, found), *(delivery.lines if delivery else ())])
 
 
 @ca.command(

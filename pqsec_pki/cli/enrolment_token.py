@@ -1,6 +1,6 @@
 """pqsec enrolment-token: the secrets with which robots enrol over a network."""
 
-from datetime import timedelta
+from datetime import datetime, timedelta
 from pathlib import Path
 
 import click
@@ -14,9 +14,10 @@ from pqsec_pki.cli import _formats, _help, _network, _printing, _settings
 from pqsec_pki.cli.serve import config_option, trusted_settings
 from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import pins_in_use
-from pqsec_pki.errors import located, shown
+from pqsec_pki.errors import UsageError, located, shown
 from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.keystore import Keystore, matching
+from pqsec_pki.keystore import status as status_of
 from pqsec_pki.server import (
     ServerSettings,
     TokenState,
@@ -26,7 +27,17 @@ from pqsec_pki.server import (
     token_states,
 )
 
-_COLUMNS = ("id", "names", "uses", "used", "replaces", "made_at", "not_after", "end")
+_COLUMNS = (
+    "id",
+    "names",
+    "uses",
+    "used",
+    "replaces",
+    "after_revocation",
+    "made_at",
+    "not_after",
+    "end",
+)
 
 
 @_help.group("enrolment-token")
@@ -44,11 +55,14 @@ def enrolment_token() -> None:
         "Create one with which 20 robots enrol": (
             "pqsec enrolment-token create '/fleet/*' --uses 20 -o fleet.token"
         ),
+        "Create one for a robot that was stolen and came back": (
+            "pqsec enrolment-token create /fleet/robot1 --replace --after-revocation -o back.token"
+        ),
     },
     exit_codes={
         0: "the token is in the file, and its hash in the ledger",
         1: "the configuration is not valid",
-        3: "the file exists, or the keystore cannot be changed",
+        3: "the file exists, NAME was revoked, or the keystore cannot be changed",
     },
 )
 @click.argument("name", metavar="NAME")
@@ -79,17 +93,34 @@ def enrolment_token() -> None:
     is_flag=True,
     help="Let it replace the certificate of a robot that has one for another key.",
 )
+@click.option(
+    "--after-revocation",
+    is_flag=True,
+    help="With --replace: let it bring back a robot that was revoked, with a new key.",
+)
 @config_option
 @_settings.command_options
 def create(  # noqa: PLR0913 -- one for each option, by name
-    name: str, goal: Path, file: Path, uses: int, validity: timedelta | None, *, replaces: bool
+    name: str,
+    goal: Path,
+    file: Path,
+    uses: int,
+    validity: timedelta | None,
+    *,
+    replaces: bool,
+    after_revocation: bool,
 ) -> None:
     """Create a token, with which a robot enrols.
 
     NAME is a participant of the domain file, or a pattern such as '/fleet/*'. The token is a
     secret: its holder can enrol as NAME until it is used up, ends or is revoked. It also has what
     the robot needs to trust the server and the CAs.
+
+    A participant that was revoked is admitted only by a token that was made since, with --replace
+    --after-revocation: on the robot, `pqsec enrol --force` makes a new key.
     """
+    if after_revocation and not replaces:
+        raise UsageError("--after-revocation is for --replace")
     settings, now = trusted_settings(file), _settings.now()
     refuse_existing(goal, replaceable=False)
     known = read_domain(settings.domain).members
@@ -103,7 +134,14 @@ def create(  # noqa: PLR0913 -- one for each option, by name
         not_after=now + (validity or settings.token_validity),
     )
     # The ledger first: a token that is only in the file would not be valid.
-    record_token(keystore, token, uses=uses, replaces=replaces, now=now)
+    record_token(
+        keystore,
+        token,
+        uses=uses,
+        replaces=replaces,
+        after_revocation=after_revocation,
+        now=now,
+    )
     write(goal, token.to_bytes(), private=True)
     named = [one for each in name.split() for one in matching(each, known)]
     if not named:
@@ -115,6 +153,9 @@ def create(  # noqa: PLR0913 -- one for each option, by name
             f"{_printing.few(named)}: there is a certificate, which a token replaces only if it is"
             " made with --replace"
         )
+    _note_revoked(keystore, name, now, after_revocation=after_revocation)
+    if after_revocation:
+        _printing.note(f"on the robot: `pqsec enrol --force` makes a new key for {shown(name)}")
     line = f"{token.id}  {name}  until {said(token.not_after)}  {goal}"
     value = {"id": token.id, "names": name, "uses": uses, "file": goal}
     _printing.emit({**value, "not_after": token.not_after}, [line])
@@ -156,6 +197,14 @@ def revoke(ids: tuple[str, ...], file: Path) -> None:
     """Revoke tokens. What robots got with them before stays; `pqsec revoke` revokes that."""
     keystore = Keystore.open(trusted_settings(file).keystore, to_change=True)
     _print(revoke_tokens(keystore, ids, now=_settings.now()))
+
+
+def _note_revoked(keystore: Keystore, names: str, now: datetime, *, after_revocation: bool) -> None:
+    """Note whom a token for several does not admit, because they were revoked."""
+    revoked = [each.name for each in status_of(keystore, now=now).participants if each.revoked]
+    found = dict.fromkeys(one for each in names.split() for one in matching(each, revoked))
+    if found and not after_revocation:
+        _printing.note(f"the token does not admit {_printing.few(found)}: revoked")
 
 
 def _server_pins(settings: ServerSettings) -> frozenset[str]:

@@ -27,10 +27,11 @@ from pqsec_pki.cli._participant_options import (
     note_doubtful_topics,
     participant_options,
 )
+from pqsec_pki.cli._superseded import note_superseded
 from pqsec_pki.credentials import ENCLAVES, GOVERNANCE, PERMISSIONS
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.keystore import Authorities, Keystore, SigningCa, is_several
+from pqsec_pki.keystore import Authorities, Keystore, ListDelivery, SigningCa, is_several
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, PublicKeys
 from pqsec_pki.lifecycle import issue as issue_participants
 from pqsec_pki.smime import document_in
@@ -145,6 +146,8 @@ def issue(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _warn(governance, specs)
     note_doubtful_topics(keystore, [spec.name for spec in specs if spec.has_rights])
     note_unsigned_governance(keystore)
+    if force:
+        note_superseded(keystore, [each.name for each in issued], _settings.now())
     print_issued(keystore, issued, bundles)
 
 
@@ -296,12 +299,21 @@ def _read_governance(keystore: Keystore) -> Governance:
 
 
 def print_issued(
-    keystore: Keystore, issued: Sequence[Issued], bundles: "Sequence[enrolment.IssuedBundle]" = ()
+    keystore: Keystore,
+    issued: Sequence[Issued],
+    bundles: "Sequence[enrolment.IssuedBundle]" = (),
+    *,
+    delivery: ListDelivery | None = None,
 ) -> None:
-    """Print one line for each issued participant, with the path of its folder or bundle."""
+    """Print one line for each issued participant, with the path of its folder or bundle.
+
+    Then which robots lack the newest revocation list, if there is one and it is asked for.
+    """
     if issued and issued[0].shortened:
         end = issued[0].not_after
         _printing.note(f"valid only until {said(end)}, when the identity CA expires")
     found = bundles or issued
-    value = {"keystore": keystore.root, "issued": found}
-    _printing.emit(value, ["  ".join(each.row) for each in found])
+    value: dict[str, object] = {"keystore": keystore.root, "issued": found}
+    value |= {"delivery": delivery} if delivery else {}
+    late = delivery.lines if delivery and delivery.late else ()
+    _printing.emit(value, [*("  ".join(each.row) for each in found), *late])

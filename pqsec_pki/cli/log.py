@@ -1,7 +1,7 @@
 """pqsec log: show and verify the ledger."""
 
 import re
-from collections.abc import Iterable
+from collections.abc import Container, Iterable
 from contextlib import suppress
 from datetime import datetime
 from pathlib import Path
@@ -22,6 +22,7 @@ from pqsec_pki.keystore import (
     older_copies,
     read_anchors,
     regular_name,
+    superseded_certificates,
     write_anchor,
 )
 from pqsec_pki.lifecycle import sign_head
@@ -31,8 +32,9 @@ _SHA256 = 64
 _HEAD = re.compile(f"[0-9a-f]{{{_SHA256}}}")
 _COLUMNS = (
     *("number", "at", "operator", "kind", "name", "serial"),
-    *("issuer", "sha256", "not_after", "details", "chain"),
+    *("issuer", "sha256", "not_after", "details", "chain", "superseded"),
 )
+_PARTICIPANT = "participant"
 _HEADERS = ("line", "when", "who", "what", "name", "serial or hash")
 
 
@@ -111,7 +113,7 @@ def log(  # noqa: PLR0913 -- one for each option, by name
     """Show or verify the ledger of everything issued, signed and revoked.
 
     NAME is a participant, a pattern ('/robot1/*') or a group (@hall1), of which only the lines
-    are shown.
+    are shown. A certificate that was replaced and is still valid is marked as superseded.
     --verify checks the chain of hashes, and that every file in the keystore has an entry.
     Keep the head that it prints in another place: --head then detects a ledger that was
     truncated or rewritten.
@@ -136,7 +138,9 @@ def log(  # noqa: PLR0913 -- one for each option, by name
     if anchors:
         _anchor(keystore, anchors)
     if not sign and not anchors:
-        _show(_lines(keystore, names, since), form)
+        earlier = superseded_certificates(keystore, now=_settings.now())
+        superseded = {each.sha256 for those in earlier.values() for each in those}
+        _show(_lines(keystore, names, since), superseded, form)
 
 
 def _refuse_parts(names: tuple[str, ...], since: datetime | None, form: str) -> None:
@@ -148,13 +152,15 @@ def _refuse_parts(names: tuple[str, ...], since: datetime | None, form: str) -> 
         )
 
 
-def _show(lines: list[Line], form: str) -> None:
+def _show(lines: list[Line], superseded: Container[str], form: str) -> None:
+    """Print the lines; `superseded` has the SHA-256 of replaced certificates that are valid."""
+    values = [{**each.to_json(), "superseded": _is_among(superseded, each)} for each in lines]
     _formats.emit(
         form,
-        {"lines": lines},
-        _printing.table(_HEADERS, map(_row, lines)),
+        {"lines": values},
+        _printing.table(_HEADERS, (_row(each, superseded) for each in lines)),
         columns=_COLUMNS,
-        items=(each.to_json() for each in lines),
+        items=values,
     )
 
 
@@ -222,13 +228,19 @@ _JSON_ONLY = {"keys", "mark", "statement"}
 """Details that only --json shows."""
 
 
-def _row(line: Line) -> tuple[str, ...]:
+def _is_among(superseded: Container[str], line: Line) -> bool:
+    return line.entry.kind == _PARTICIPANT and line.entry.sha256 in superseded
+
+
+def _row(line: Line, superseded: Container[str]) -> tuple[str, ...]:
     entry = line.entry
     details = [
         f"{key} {_short(v)}" for key, v in entry.details.items() if v and key not in _JSON_ONLY
     ]
     if entry.details.get("mark", "").startswith(PERMITTED):
         details.append("by permit")
+    if _is_among(superseded, line):
+        details.append(f"superseded, valid until {said(entry.ends)}")
     what = f"{entry.kind} ({', '.join(details)})" if details else entry.kind
     last = entry.serial or entry.sha256[:16]
     return (str(line.number), _when(entry), entry.operator or "-", what, entry.name or "-", last)

@@ -25,15 +25,16 @@ from pqsec_pki.cli._participant_options import (
     topic_options,
     topics_of,
 )
-from pqsec_pki.cli._removal import note_not_granted
+from pqsec_pki.cli._removal import Removal, note_not_granted
 from pqsec_pki.cli.diff import difference_lines, note_incomplete
 from pqsec_pki.documents import DomainSet, Grant
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import Keystore, SigningCa
+from pqsec_pki.keystore import Keystore, SigningCa, list_delivery
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     PermissionsChange,
     changed_permissions,
+    earlier_ends,
     sign_changed,
 )
 from pqsec_pki.policy import DocumentDifference
@@ -97,7 +98,8 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
     validity.
 
     The change of rights is shown first. Either all participants are changed or none. Robots get
-    the new permissions with their next bundle, or by a copy of the enclave.
+    the new permissions with their next bundle, or by a copy of the enclave. What was signed before
+    stays valid for whoever puts it back: --remove says until when, and how to end it now.
     """
     if add:
         note_ros_names(topics["publish"], topics["subscribe"])
@@ -127,7 +129,11 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
         authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
         sign_changed(keystore, authorities, changes, now=now)
         note_doubtful_topics(keystore, [each.name for each in changes])
-    _report(keystore, changes, differences, complete=complete, shown=not yes)
+    removes = bool(changes) and not add
+    earlier = earlier_ends(keystore, changes, now=now) if removes else {}
+    delivery = list_delivery(keystore, now=now) if removes else None
+    removal = None if add else Removal(keystore.root, earlier, delivery)
+    _report(keystore, changes, differences, removal, complete=complete, shown=not yes)
 
 
 def _refuse_mixed(
@@ -240,10 +246,11 @@ def _ask(changes: list[PermissionsChange], differences: list[DocumentDifference]
     )
 
 
-def _report(
+def _report(  # noqa: PLR0913 -- what there is to tell
     keystore: Keystore,
     changes: list[PermissionsChange],
     differences: list[DocumentDifference],
+    removal: Removal | None,
     *,
     complete: bool,
     shown: bool,
@@ -258,7 +265,8 @@ def _report(
         "complete": complete,
         "changed": [each.name for each in changes],
         "changes": [change for each in differences for change in each.to_json()],
+        **(removal.to_json() if removal else {}),
     }
     lines = [] if shown else list(difference_lines(differences))
-    lines += [f"signed: {each.name}" for each in changes]
-    _printing.emit(value, lines if changes else ["nothing to change"])
+    lines += [f"signed: {each.name}" for each in changes] or ["nothing to change"]
+    _printing.emit(value, [*lines, *(removal.lines if removal else ())])

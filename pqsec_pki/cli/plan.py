@@ -59,7 +59,7 @@ def chosen_ca(only: str | None) -> SigningCa | None:
         ),
     },
     exit_codes={
-        0: "the keystore matches the file",
+        0: "the keystore matches the file, but for participants that were revoked",
         1: "there are changes to make, or FILE is not valid, or the key is not an approver's",
         3: "FILE or the keystore cannot be read",
     },
@@ -190,6 +190,7 @@ def show(found: Plan, desired: Desired, *, written: Path | None = None) -> None:
     if desired.ungoverned:
         where = ", ".join(map(str, desired.ungoverned))
         _printing.note(f"the governance does not name domain {where}: no participant can join it")
+    note_ended(found)
     note_roles(desired)
     note_left(found)
     if found.unlisted:
@@ -200,6 +201,14 @@ def show(found: Plan, desired: Desired, *, written: Path | None = None) -> None:
 def note_roles(desired: Desired) -> None:
     """Note which topics of roles look like mistakes."""
     note_ros_names(grant for spec in desired.examples for grant in spec.grants)
+
+
+def note_ended(found: Plan) -> None:
+    """Tell which participants of the file were revoked: nothing is done for them."""
+    if found.ended:
+        names = _printing.few(each.name for each in found.ended)
+        first = found.ended[0]
+        _printing.note(f"revoked, and still in the file: {names}; {first.name}: {first.way_back}")
 
 
 def note_left(found: Plan) -> None:

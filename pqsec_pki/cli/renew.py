@@ -18,11 +18,12 @@ from pqsec_pki.cli import (
 )
 from pqsec_pki.cli._names import admitted, named
 from pqsec_pki.cli._renew_from import refuse_mixed, renew_from
+from pqsec_pki.cli._superseded import note_superseded
 from pqsec_pki.cli.issue import note_unsigned_governance, print_issued
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import pins_of
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import State, Status
+from pqsec_pki.keystore import State, Status, list_delivery
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lifecycle import Renewal
 from pqsec_pki.lifecycle import renew as renew_participants
@@ -131,11 +132,10 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
     authorities = _passphrases.unlock(keystore, passphrase_file)
     renewed = renew_participants(keystore, authorities, chosen, terms, now=now)
     if standing.list_is_due:
-        _printing.note(
-            "a new revocation list was issued because the old one was due: copy it to every robot"
-        )
+        _printing.note("a new revocation list was issued because the old one was due")
     note_unsigned_governance(keystore)
-    print_issued(keystore, renewed)
+    note_superseded(keystore, [each.name for each in renewed], now)
+    print_issued(keystore, renewed, delivery=list_delivery(keystore, now=now))
 
 
 def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:

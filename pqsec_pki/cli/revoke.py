@@ -1,7 +1,7 @@
 """pqsec revoke: revoke certificates of participants."""
 
-from collections.abc import Iterable
-from datetime import timedelta
+from collections.abc import Iterable, Sequence
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +14,10 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._times import day
+from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.errors import UsageError, located
-from pqsec_pki.keystore import Entry, Keystore, SigningCa
+from pqsec_pki.keystore import Entry, Keystore, SigningCa, list_delivery, robot_states
+from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lifecycle import LIST_VALIDITY, Revoked, revocable
 from pqsec_pki.lifecycle import revoke as revoke_subjects
 
@@ -44,10 +46,13 @@ list_validity_option = click.option(
         "Revoke a certificate that the ledger does not have": (
             "pqsec revoke --certificate cert.pem --yes"
         ),
+        "Revoke what a participant had before it was renewed or replaced": (
+            "pqsec revoke /talker --superseded --yes"
+        ),
         "Issue a list that is valid for 90 days": "pqsec revoke /talker --validity 90d --yes",
     },
     exit_codes={
-        0: "revoked, now or earlier",
+        0: "revoked, now or earlier; or no certificate was superseded",
         3: "not revoked: a participant, the keystore or the passphrase is missing or wrong",
     },
 )
@@ -68,9 +73,13 @@ list_validity_option = click.option(
 @click.option(
     "--reason",
     type=_Reason([reason.value for reason in Reason]),
-    default=Reason.UNSPECIFIED.value,
-    show_default=True,
-    help="Record this reason in the list (RFC 5280 5.3.1).",
+    help="Record this reason in the list (RFC 5280 5.3.1).  [default: unspecified; with"
+    " --superseded: superseded]",
+)
+@click.option(
+    "--superseded",
+    is_flag=True,
+    help="Of each NAME, revoke the valid certificates before the current one, and keep that.",
 )
 @list_validity_option
 @click.option("--yes", is_flag=True, help="Do not ask for confirmation.")
@@ -79,50 +88,78 @@ list_validity_option = click.option(
 def revoke(  # noqa: PLR0913 -- one for each option, by name
     subjects: tuple[str, ...],
     files: tuple[Path, ...],
-    reason: str,
+    reason: str | None,
     validity: timedelta,
     passphrase_file: Path | None,
     *,
+    superseded: bool,
     yes: bool,
 ) -> None:
     """Revoke certificates, and put the new revocation list into every enclave.
 
     NAME revokes all unexpired certificates of that participant, SERIAL one certificate; a
     pattern such as '/robot1/*' is all that match it, @hall1 a group. The certificates are
-    shown first. Copy the new crl.pem to every robot: a robot with an older list, or without
-    one, still accepts the revoked certificates.
+    shown first. The result says which robots do not have the new list yet, what they still
+    accept, until when, and how they get it.
     """
     keystore, now = _settings.open_keystore(to_change=True), _settings.now()
     keystore.refuse_unapproved(Covered.REVOKE)
     if not subjects and not files:
         raise UsageError("nothing to revoke", hint="give names, serial numbers, or --certificate")
-    first = not keystore.has_revocation_list
     chosen = named(keystore, subjects)
     certificates = certificates_in(files)
-    if not yes:
-        _ask(revocable(keystore, chosen, certificates, now=now))
+    if superseded and files:
+        raise UsageError("--superseded and --certificate exclude each other")
+    if superseded or not yes:
+        found = revocable(keystore, chosen, certificates, superseded=superseded, now=now)
+        if not found:
+            _nothing(keystore, chosen)
+            return
+        _note_running(keystore, chosen, superseded=superseded, now=now)
+        if not yes:
+            _ask(found)
     authorities = _passphrases.unlock_with_signers(keystore, passphrase_file, SigningCa.IDENTITY)
     revoked, made = revoke_subjects(
         keystore,
         authorities,
         chosen,
         certificates=certificates,
-        reason=Reason(reason),
+        reason=Reason(reason or (Reason.SUPERSEDED if superseded else Reason.UNSPECIFIED)),
+        superseded=superseded,
         now=now,
         validity=validity,
     )
-    if first:
-        _printing.note(
-            "DDS stacks read crl.pem when a participant starts; OpenDDS does not read it. What was"
-            " exported before does not name it: export it again (not for ROS 2)"
-        )
     if not all(each.listed for each in revoked):
         _printing.note(
             "certificates of an earlier CA are not in a list: participants that still trust that CA"
             " accept them; copy the files of the current CA to every robot"
         )
+    delivery = list_delivery(keystore, now=now)
     value = {"revoked": revoked, "list": keystore.revocation_list_path, **made.to_json()}
-    _printing.emit(value, [*map(_line, revoked), list_line(keystore, made)])
+    _printing.emit(
+        {**value, "delivery": delivery},
+        [*map(_line, revoked), list_line(keystore, made), *(delivery.lines if delivery else ())],
+    )
+
+
+def _nothing(keystore: Keystore, names: Sequence[str]) -> None:
+    words = f"no valid certificate of {_printing.few(names)} was superseded: nothing to revoke"
+    value = {"revoked": [], "list": keystore.revocation_list_path, "delivery": None}
+    _printing.emit(value, [words])
+
+
+def _note_running(
+    keystore: Keystore, names: Sequence[str], *, superseded: bool, now: datetime
+) -> None:
+    """Note which robots run a certificate that is revoked as superseded, by their receipts."""
+    if not superseded:
+        return
+    robots = robot_states(keystore, status_of(keystore, names, now=now).participants)
+    if behind := [name for name, each in robots.items() if CERTIFICATE in each.changed]:
+        _printing.note(
+            f"{_printing.few(behind)} by the newest receipt still run an earlier certificate: the"
+            " others will refuse them until they install the current one"
+        )
 
 
 def certificates_in(paths: Iterable[Path]) -> list[Certificate]:

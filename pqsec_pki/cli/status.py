@@ -8,24 +8,29 @@ import click
 
 from pqsec_pki._times import said
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
-from pqsec_pki.cli._metrics import write_metrics
+from pqsec_pki.cli._metrics import ListMetrics, write_metrics
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._times import end
 from pqsec_pki.documents import MAX_DOMAIN
 from pqsec_pki.errors import UsageError
 from pqsec_pki.keystore import (
+    Entry,
     Keystore,
+    ListDelivery,
     RobotState,
     State,
     Status,
     faults_of_ledger,
+    list_delivery,
     robot_states,
+    superseded_certificates,
 )
 from pqsec_pki.keystore import status as status_of
 
 _HEADERS = ("participant", "state", "until", "profile", "domains", "serial")
 _COLUMNS = ("name", "state", "not_after", "profile", "domains", "serial")
 _ROBOT_HEADERS = ("robot", "runs", "should run", "changed")
+_SUPERSEDED = "superseded"
 _ROBOT_COLUMNS = ("robot", "runs", "should_run", "changed", "installed_at")
 _ROLES = {
     "identity-ca": "identity CA",
@@ -102,7 +107,11 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     After `pqsec receipt import`, it also compares the files with those that each robot has
     installed: `robot` is current, outdated, or unknown without a receipt; then follow the numbers
     of the bundles that it runs and should run, and the files that differ. `pqsec bundle
-    --outdated` writes what robots lack.
+    --outdated` writes what robots lack. It also says which robots do not have the newest
+    revocation list, what they accept, and until when.
+
+    `superseded` are certificates before the current one that are still valid, with the last end:
+    `pqsec revoke NAME --superseded` ends them.
     """
     _formats.chosen(form)
     keystore = _settings.open_keystore().as_found  # `faults_of_ledger` says what is wrong
@@ -111,9 +120,19 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if prometheus and is_filtered:
         raise UsageError("--prometheus shows all: it excludes NAME and filters")
     standing = status_of(keystore, chosen or None, now=_settings.now(), due=due)
+    every = None if chosen else standing.participants
+    delivery = list_delivery(keystore, now=standing.at, participants=every)
+    earlier = superseded_certificates(keystore, now=standing.at)
     standing = standing.only(set(map(State, states)) or None, domain, expires_before)
     robots = robot_states(keystore, standing.participants)
-    rows = [{**each.to_json(), **robots[each.name].to_json()} for each in standing.participants]
+    rows = [
+        {
+            **each.to_json(),
+            _SUPERSEDED: [_certificate(old) for old in earlier.get(each.name, ())],
+            **robots[each.name].to_json(),
+        }
+        for each in standing.participants
+    ]
     if unsigned := [each.name for each in standing.participants if not each.permissions]:
         _printing.note(
             f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
@@ -122,13 +141,15 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         _printing.note(f"{what} was signed {said(at)}: the clock is behind, or was ahead then")
     faults, policy = faults_of_ledger(keystore), keystore.approvals
     if prometheus:
-        write_metrics(prometheus, keystore, standing, robots, is_whole=not faults)
+        lists = ListMetrics(delivery, sum(map(len, earlier.values())))
+        write_metrics(prometheus, keystore, standing, robots, lists, is_whole=not faults)
     _formats.emit(
         form,
         {
             "keystore": keystore.root,
             **standing.to_json(),
             "participants": rows,
+            "delivery": delivery,
             "ledger": {"head": standing.head, "faults": faults},
             "approvals": policy.to_json() if policy else None,
         },
@@ -136,21 +157,24 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
             keystore,
             standing,
             robots,
+            earlier,
             "none" if is_filtered else "none yet: pqsec issue NAME",
             [
                 *([f"approvals        {policy}"] if policy else []),
                 *(f"ledger           NOT AS SIGNED: {fault}" for fault in faults),
+                *([] if is_filtered else _of_list(delivery)),
             ],
         ),
-        columns=(*_COLUMNS, *_ROBOT_COLUMNS),
+        columns=(*_COLUMNS, *_ROBOT_COLUMNS, _SUPERSEDED),
         items=rows,
     )
 
 
-def _lines(
+def _lines(  # noqa: PLR0913, PLR0917 -- what there is to tell
     keystore: Keystore,
     standing: Status,
     robots: Mapping[str, RobotState],
+    earlier: Mapping[str, Sequence[Entry]],
     nobody: str,
     more: Sequence[str],
 ) -> Iterator[str]:
@@ -163,18 +187,40 @@ def _lines(
     yield from more
     if standing.participants:
         has_receipts = any(each.receipt for each in robots.values())
+        has_earlier = any(each.name in earlier for each in standing.participants)
         yield ""
         yield from _printing.table(
-            (*_HEADERS, *(_ROBOT_HEADERS if has_receipts else ())),
+            (
+                *_HEADERS,
+                *([_SUPERSEDED] if has_earlier else ()),
+                *(_ROBOT_HEADERS if has_receipts else ()),
+            ),
             (
                 (
                     *(each.name, each.state, end(each.not_after)),
                     *(each.profile or "-", each.domains or "-", each.serial),
+                    *([_earlier(earlier.get(each.name, ()))] if has_earlier else ()),
                     *(_robot(robots[each.name]) if has_receipts else ()),
                 )
                 for each in standing.participants
             ),
         )
+
+
+def _certificate(entry: Entry) -> dict[str, object]:
+    return {"serial": entry.serial, "not_after": entry.ends}
+
+
+def _earlier(entries: Sequence[Entry]) -> str:
+    return f"{len(entries)}, until {end(max(each.ends for each in entries))}" if entries else "-"
+
+
+def _of_list(delivery: ListDelivery | None) -> Iterator[str]:
+    """Which robots lack the newest list, and what they accept; nothing if all have it."""
+    if delivery and delivery.late:
+        first, *more = delivery.lines
+        yield f"list {delivery.number:<11} {first}"
+        yield from (f"{'':<16} {each}" for each in more)
 
 
 def _robot(robot: RobotState) -> tuple[str, ...]:

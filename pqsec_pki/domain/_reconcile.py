@@ -1,5 +1,6 @@
 """Compares one participant with its wanted state: the steps, or why it is blocked."""
 
+import shlex
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import field
@@ -12,7 +13,7 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.domain._orders import order_at, steps_of
 from pqsec_pki.domain.desired import Member
 from pqsec_pki.domain.requests import admitted, asks_for_other_keys, hashes_in, is_there
-from pqsec_pki.domain.steps import Blocked, Step, StepAction
+from pqsec_pki.domain.steps import Blocked, Ended, Step, StepAction
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import PERMITTED, Files, Keystore, ParticipantState, State, signed_grants
 
@@ -20,8 +21,13 @@ _NEVER = datetime.max.replace(tzinfo=UTC)
 _SLACK = timedelta(days=1)
 """SROS2 writes a certificate and its permissions seconds apart."""
 _READMIT = (
-    "remove it from the file, or run `pqsec issue {} --validity {} --force --after-revocation`, and"
-    " apply it again"
+    "remove it from the file; or, if it came back, run `pqsec issue {} --validity {} --force"
+    " --after-revocation`, and apply it again"
+)
+_REENROL = (
+    "remove it from the file; or, if it came back, `pqsec enrolment-token create {} --replace"
+    " --after-revocation`, or `pqsec issue --csr` with --force --after-revocation, and apply it"
+    " again"
 )
 _ELSEWHERE = "has its key elsewhere"
 _OTHER_MACHINE = "its files are on another machine, and were not made from this file"
@@ -50,7 +56,7 @@ class Reconciler:
     orders: dict[Path, Mapping[str, Step] | str] = field(default_factory=dict)
     """The steps of each order that was read, or why it is refused."""
 
-    def of(self, member: Member, held: ParticipantState | None) -> Iterator[Step | Blocked]:
+    def of(self, member: Member, held: ParticipantState | None) -> Iterator[Step | Blocked | Ended]:
         """The steps for `member`; `held` is its state in the keystore, None if it is new."""
         if held is None and self.keystore and self.keystore.has(member.name):
             yield Blocked(
@@ -209,9 +215,9 @@ def has_rights(
     return False
 
 
-def _revoked(member: Member) -> Blocked:
-    if member.request:
-        return Blocked(member.name, "was revoked")
+def _revoked(member: Member) -> Ended:
     days, rest = divmod(member.validity, timedelta(days=1))
     validity = f"{member.validity // timedelta(hours=1)}h" if rest else f"{days}d"
-    return Blocked(member.name, "was revoked", _READMIT.format(member.name, validity))
+    if member.request:
+        return Ended(member.name, _REENROL.format(shlex.quote(member.name)))
+    return Ended(member.name, _READMIT.format(shlex.quote(member.name), validity))

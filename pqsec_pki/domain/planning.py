@@ -15,7 +15,7 @@ from pqsec_pki.approvals import ApprovalPolicy
 from pqsec_pki.domain._profile_change import is_wanted, plan_profile_change
 from pqsec_pki.domain._reconcile import Reconciler
 from pqsec_pki.domain.desired import Desired
-from pqsec_pki.domain.steps import Blocked, Plan, Step, StepAction
+from pqsec_pki.domain.steps import Blocked, Ended, Plan, Step, StepAction
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import (
     Keystore,
@@ -154,6 +154,7 @@ class _Planner:
     def plan(self) -> Plan:
         steps: list[Step] = []
         blocked: list[Blocked] = []
+        ended: list[Ended] = []
         unchanged = 0
         if why := self._why_sign_governance():
             steps.append(Step(StepAction.SIGN_GOVERNANCE, "", why))
@@ -162,6 +163,7 @@ class _Planner:
             found = list(self.reconciler.of(member, held.get(member.name)))
             steps += [each for each in found if isinstance(each, Step)]
             blocked += [each for each in found if isinstance(each, Blocked)]
+            ended += [each for each in found if isinstance(each, Ended)]
             unchanged += not found
         others = self._others()
         if self._has_other_groups(others):
@@ -178,7 +180,8 @@ class _Planner:
             steps.append(_approvals_step(self.desired, before))
         steps.sort(key=lambda step: _PLACE[step.action])
         unlisted = () if self.prune else others
-        return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, self.actual.head)
+        head, gone = self.actual.head, tuple(ended)
+        return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, head, ended=gone)
 
     def _why_sign_governance(self) -> str:
         config_digest = governance_digest(self.keystore)

@@ -1,4 +1,4 @@
-"""The values of a plan: its steps, and the participants that are blocked."""
+"""The values of a plan: its steps, and the participants that are blocked or were revoked."""
 
 from dataclasses import field
 from enum import StrEnum
@@ -75,6 +75,14 @@ class Blocked:
 
 
 @dataclass(frozen=True, slots=True)
+class Ended:
+    """A participant of the file that was revoked: somebody decided it, so it is left as it is."""
+
+    name: str
+    way_back: str
+
+
+@dataclass(frozen=True, slots=True)
 class Plan:
     """The steps, and the participants that they do not change."""
 
@@ -88,6 +96,8 @@ class Plan:
     """The ledger's head when the plan was made; None if there was no ledger."""
     only: SigningCa | None = None
     """The CA whose keys it needs, if it has the steps of one CA only: certificates, or rights."""
+    ended: tuple[Ended, ...] = ()
+    """Participants of the file that were revoked; the plan is complete without them."""
     left: tuple[Step, ...] = ()
     """Then the other steps: they are made where the keys of the other CA, or of both, are."""
 
@@ -97,6 +107,7 @@ class Plan:
             "in_order": self.in_order,
             "steps": self.steps,
             "blocked": self.blocked,
+            "revoked": self.ended,
             "unlisted": self.unlisted,
             "unchanged": self.unchanged,
             **({"only": self.only.label, "left": self.left} if self.only else {}),

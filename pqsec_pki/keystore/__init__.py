@@ -57,6 +57,8 @@ Questions:
     bundle_numbers       the number of a bundle, by the ledger's lines about its files
     receipt              what a robot says that it runs, and its line in the ledger
     robots               what each robot runs and should run, by the newest receipts
+    superseded           certificates that were replaced and are still valid
+    delivery             which robots lack the newest revocation list, and what they accept
 """
 
 from typing import TYPE_CHECKING
@@ -104,6 +106,15 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
     from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
     from pqsec_pki.keystore.current_files import CurrentFiles
+    from pqsec_pki.keystore.delivery import (
+        ADMISSION,
+        MOST_SHOWN,
+        AcceptedCertificate,
+        LateRobot,
+        ListDelivery,
+        Way,
+        list_delivery,
+    )
     from pqsec_pki.keystore.groups import GROUP_NAME, groups_file
     from pqsec_pki.keystore.heads import SeenLedger, read_head
     from pqsec_pki.keystore.keystore import Keystore
@@ -160,17 +171,20 @@ if TYPE_CHECKING:
         signed_grants,
         status,
     )
+    from pqsec_pki.keystore.superseded import superseded_certificates, superseded_in
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
     "ABOVE",
+    "ADMISSION",
     "APPROVAL",
     "CLOCK_SKEW",
     "GENERATIONS",
     "GITIGNORE",
     "GROUP",
     "GROUP_NAME",
+    "MOST_SHOWN",
     "ORDER",
     "PERMITTED",
     "PLAN",
@@ -178,6 +192,7 @@ __all__ = [
     "RECEIPT",
     "SETTINGS",
     "WAIT",
+    "AcceptedCertificate",
     "Anchored",
     "Authorities",
     "BundleNumbers",
@@ -186,10 +201,12 @@ __all__ = [
     "Files",
     "InstallState",
     "Keystore",
+    "LateRobot",
     "Ledger",
     "LedgerAddress",
     "LedgerFile",
     "Line",
+    "ListDelivery",
     "Overlap",
     "Overview",
     "ParticipantState",
@@ -206,6 +223,7 @@ __all__ = [
     "State",
     "Status",
     "Transaction",
+    "Way",
     "anchored_head",
     "approval_entries",
     "audit",
@@ -233,6 +251,7 @@ __all__ = [
     "keystore_ignored",
     "layout",
     "lines_since",
+    "list_delivery",
     "list_entry",
     "list_status",
     "load_ca_key",
@@ -268,6 +287,8 @@ __all__ = [
     "signed_governance",
     "signed_grants",
     "status",
+    "superseded_certificates",
+    "superseded_in",
     "trust_entry",
     "trust_file",
     "was_ahead",

@@ -48,6 +48,13 @@ _CERTIFIED = (
     "SELECT key, name, sha256 FROM temp.certified JOIN ledger USING (number)"
     " WHERE key IN (SELECT value FROM json_each(?)) AND not_after >= ? ORDER BY number"
 )
+_REPLACED = (
+    f"SELECT number, {_table.COLUMNS} FROM ledger WHERE kind = 'participant' AND not_after >= ?"  # noqa: S608 -- no outside text
+    " AND NOT EXISTS (SELECT 1 FROM ledger AS ended"
+    " WHERE ended.kind = 'revocation' AND ended.sha256 = ledger.sha256)"
+    " AND EXISTS (SELECT 1 FROM ledger AS newer WHERE newer.kind = 'participant'"
+    " AND newer.name = ledger.name AND newer.number > ledger.number) ORDER BY number"
+)
 
 
 _SIZE = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
@@ -216,6 +223,13 @@ class Ledger:
         return self._find(
             "number IN (SELECT max(number) FROM ledger WHERE kind = ? GROUP BY name)", kind
         )
+
+    def replaced(self, at: str) -> list[tuple[int, Entry]]:
+        """The certificates that end at `at` or later and were not revoked, of participants that
+        got another one since, with the numbers of their lines; oldest first."""
+        with self._errors():
+            rows = self._database.execute(_REPLACED, (at,))
+            return [(number, _table.entry(row)) for number, *row in rows]
 
     def revoked_for(self, reason: str) -> list[Entry]:
         """The entries of participants whose certificates were revoked for that reason."""

@@ -37,11 +37,19 @@ if TYPE_CHECKING:
     from pqsec_pki.lifecycle.permitting import (
         PermissionsChange,
         changed_permissions,
+        earlier_ends,
         sign_changed,
     )
     from pqsec_pki.lifecycle.registering import add_registration, end_registrations
     from pqsec_pki.lifecycle.renewing import Renewal, lasts_longer, renew
-    from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Revoked, renew_list, revocable, revoke
+    from pqsec_pki.lifecycle.revoking import (
+        LIST_VALIDITY,
+        REVOCATIONS,
+        Revoked,
+        renew_list,
+        revocable,
+        revoke,
+    )
     from pqsec_pki.lifecycle.rollover import (
         CA_VALIDITY,
         OverlapStep,
@@ -65,6 +73,7 @@ __all__ = [
     "CA_VALIDITY",
     "IN_A_FILE",
     "LIST_VALIDITY",
+    "REVOCATIONS",
     "Adoptable",
     "Adopted",
     "Issued",
@@ -87,6 +96,7 @@ __all__ = [
     "changed_permissions",
     "changed_protection",
     "changed_rights",
+    "earlier_ends",
     "end_registrations",
     "fetch_files",
     "grows",

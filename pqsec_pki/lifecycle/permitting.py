@@ -22,6 +22,7 @@ from pqsec_pki.keystore import (
     StagedFolder,
     change,
     layout,
+    superseded_certificates,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
@@ -62,6 +63,26 @@ def changed_permissions(
         inspector = Inspector.of(keystore, ledger, names, now=now)
     inspector.refuse_revoked(names)
     return [_changed(inspector, name, edit) for name in names]
+
+
+def earlier_ends(
+    keystore: Keystore, changes: Sequence[PermissionsChange], *, now: datetime
+) -> dict[str, datetime]:
+    """Until when documents that were signed before can be used, by participant.
+
+    Permissions name a subject and no key, so whoever has an earlier document can put it beside any
+    certificate of that name. It ends no later than the old one of the change, or than the last
+    certificate that was superseded. What has ended at `now` is left out.
+    """
+    superseded = superseded_certificates(keystore, now=now)
+    found = {}
+    for each in changes:
+        old = each.old.grants_for(each.subject) if each.old else ()
+        ends = [grant.not_after for grant in old]
+        ends += [line.ends for line in superseded.get(each.name, ())]
+        if ends and max(ends) >= now:
+            found[each.name] = max(ends)
+    return found
 
 
 def sign_changed(

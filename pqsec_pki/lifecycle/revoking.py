@@ -4,7 +4,7 @@ All of it is one change. The list is made from the ledger. There is one file, in
 each enclave links to it, so one rename gives all enclaves the new list.
 """
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
 
@@ -32,11 +32,14 @@ from pqsec_pki.keystore import (
     list_entry,
     nearest,
     refuse_overlap,
+    superseded_in,
 )
 
 COMPROMISE = "compromise"
 """The kind of ledger lines that change the reason of an earlier revocation to keyCompromise."""
 
+REVOCATIONS = ("revocation", COMPROMISE)
+"""The kinds of lines about a certificate that was revoked."""
 _ISSUED = "participant"
 LIST_VALIDITY = timedelta(days=365)
 """The default validity of participants: after a list has expired, stacks with it refuse every
@@ -76,20 +79,24 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     *,
     certificates: Sequence[Certificate] = (),
     reason: Reason = Reason.UNSPECIFIED,
+    superseded: bool = False,
     now: datetime,
     validity: timedelta = LIST_VALIDITY,
 ) -> tuple[list[Revoked], RevocationList]:
     """Revoke the certificates of all `subjects` and issue a new list, or do nothing.
 
     A subject is a participant's name, for all its certificates that have not expired, or a
-    certificate's serial number in hex. `certificates` are others of this identity CA, which the
-    ledger need not have: it may have lost their lines. A certificate that was revoked before keeps
-    its time and reason; only the reason keyCompromise may be added later. KeystoreError for a
-    subject that is not in the ledger or has expired, and for a certificate of another CA.
+    certificate's serial number in hex. With `superseded` it is a name, for those that were
+    replaced and are still valid; its current certificate stays. `certificates` are others of this
+    identity CA, which the ledger need not have: it may have lost their lines. A certificate that
+    was revoked before keeps its time and reason; only the reason keyCompromise may be added later.
+    KeystoreError for a subject that is not in the ledger or has expired, and for a certificate of
+    another CA.
     """
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.REVOKE)
-        chosen = _chosen(ledger, subjects, now) | _given(keystore, ledger, certificates, now)
+        chosen = _chosen(keystore, ledger, subjects, now, superseded=superseded)
+        chosen |= _given(keystore, ledger, certificates, now)
         before = _revoked_since(ledger)
         new = [
             _revocation(each, reason, now, again=each.sha256 in before)
@@ -109,11 +116,13 @@ def revocable(
     subjects: Iterable[str],
     certificates: Iterable[Certificate] = (),
     *,
+    superseded: bool = False,
     now: datetime,
 ) -> list[Entry]:
     """The ledger lines of the certificates that `revoke` would revoke; KeystoreError as there."""
     with keystore.open_ledger() as ledger:
-        chosen = _chosen(ledger, subjects, now) | _given(keystore, ledger, certificates, now)
+        chosen = _chosen(keystore, ledger, subjects, now, superseded=superseded)
+        chosen |= _given(keystore, ledger, certificates, now)
     return list(chosen.values())
 
 
@@ -204,10 +213,31 @@ class Publisher:
         return list(listed.values())
 
 
-def _chosen(ledger: Ledger, subjects: Iterable[str], now: datetime) -> dict[str, Entry]:
+def _chosen(
+    keystore: Keystore,
+    ledger: Ledger,
+    subjects: Iterable[str],
+    now: datetime,
+    *,
+    superseded: bool,
+) -> dict[str, Entry]:
     """The entries of the certificates that `subjects` name, by the certificate's hash."""
-    found = (each for subject in subjects for each in _certificates(ledger, subject, now))
+    if superseded:
+        earlier = superseded_in(keystore, ledger, now=now)
+        names = [layout.enclave_name(each) for each in subjects]
+        found = [each for name in names for each in _earlier(ledger, name, earlier)]
+    else:
+        found = [each for subject in subjects for each in _certificates(ledger, subject, now)]
     return {each.sha256: each for each in found}
+
+
+def _earlier(
+    ledger: Ledger, name: str, earlier: Mapping[str, tuple[Entry, ...]]
+) -> tuple[Entry, ...]:
+    """Those of the participant; KeystoreError if the ledger has no such participant."""
+    if name not in earlier and not ledger.count(_ISSUED, name):
+        raise _unknown(ledger, name, "participant")
+    return earlier.get(name, ())
 
 
 def _given(
@@ -242,15 +272,19 @@ def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
         serial = subject.replace(":", "").lower().lstrip("0")
         named = [each for each in ledger.of_kind("participant") if each.serial == serial]
     if not named:
-        raise KeystoreError(
-            f"the ledger has no participant and no serial number {subject}",
-            hint=nearest(subject, [row[0] for row in ledger.participants()])
-            or "`pqsec status` lists both",
-        )
+        raise _unknown(ledger, subject, "participant and no serial number")
     good = [each for each in named if now <= each.ends]
     if not good:
         raise _expired(subject, named[-1].ends)
     return good
+
+
+def _unknown(ledger: Ledger, subject: str, what: str) -> KeystoreError:
+    return KeystoreError(
+        f"the ledger has no {what} {subject}",
+        hint=nearest(subject, [row[0] for row in ledger.participants()])
+        or "`pqsec status` lists both",
+    )
 
 
 def _expired(subject: str, end: datetime) -> KeystoreError:
@@ -270,7 +304,7 @@ def _name(subject: str) -> str:
 
 def _revoked_since(ledger: Ledger) -> dict[str, Entry]:
     """The ledger's revocations, by the certificate's hash."""
-    return _merged((*ledger.of_kind("revocation"), *ledger.of_kind(COMPROMISE)))
+    return _merged(each for kind in REVOCATIONS for each in ledger.of_kind(kind))
 
 
 def _merged(lines: Iterable[Entry]) -> dict[str, Entry]:

@@ -16,12 +16,15 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import (
     CurrentFiles,
+    Entry,
     Keystore,
     Line,
     RobotState,
     Status,
     audit,
+    list_delivery,
     robot_states,
+    superseded_certificates,
 )
 from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
@@ -73,6 +76,7 @@ def report_of(
     keystore = keystore.as_found  # its evidence says what is wrong
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
+    superseded = made.part(EVENTS, lambda: superseded_certificates(keystore, now=now))
     lines = made.part(EVENTS, keystore.lines)
     checked, fleet = made.verified(compared=lines is not None)
     authorities = made.part(EVIDENCE, lambda: _certificates(keystore, status))
@@ -84,7 +88,7 @@ def report_of(
         at=now,
         version=__version__,
         command=command,
-        participants=_of(status, lambda found: tuple(_participants(found))),
+        participants=_of(status, lambda found: tuple(_participants(found, superseded or {}))),
         authorities=_authorities(keystore, status, authorities),
         rights=made.of(fleet, RIGHTS, lambda found: rights_of(found, keystore.root, now)),
         endings=_of(status, lambda found: endings_of(found, fleet)),
@@ -96,6 +100,11 @@ def report_of(
         events=_of(lines, events_of),
         sizes=_of(checked, lambda found: _sizes(found.inventory)),
         robots=made.of(status, ROBOTS, lambda found: _robots(keystore, found)),
+        delivery=made.of(
+            status,
+            ROBOTS,
+            lambda found: list_delivery(keystore, now=now, participants=found.participants),
+        ),
         evidence=made.of(lines, EVIDENCE, lambda found: _evidence(keystore, found)),
         gaps=tuple(dict.fromkeys(made.gaps)),
     )
@@ -177,7 +186,9 @@ class _ReportMaker:
         return str(path.relative_to(root)) if path.is_relative_to(root) else str(path)
 
 
-def _participants(status: Status) -> Iterator[ParticipantRow]:
+def _participants(
+    status: Status, superseded: Mapping[str, tuple[Entry, ...]]
+) -> Iterator[ParticipantRow]:
     for each in sorted(status.participants, key=lambda each: each.name):
         yield ParticipantRow(
             name=each.name,
@@ -186,6 +197,7 @@ def _participants(status: Status) -> Iterator[ParticipantRow]:
             profile=each.profile or "",
             domains=each.domains or "",
             serial=each.serial,
+            superseded=tuple(old.ends for old in superseded.get(each.name, ())),
         )
 
 

@@ -43,6 +43,8 @@ def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
             *("participant", person.name, person.profile, person.state.value),
             *(person.domains, until, person.serial),
         )
+        for end in person.superseded:
+            yield "participant", person.name, person.profile, "superseded", "", _said(end), ""
     yield from _rights(report)
     yield from _keys(report)
     yield from _migration(report.migration)
@@ -112,6 +114,14 @@ def _keys(report: Report) -> Iterator[_Row]:
         numbers = f"runs {robot.runs or '-'}, should run {robot.should_run or '-'}"
         words = f"{robot.state.value}: {numbers}"
         yield "robot", robot.name, "installed", words, "", at, " ".join(robot.changed)
+    if delivery := report.delivery:
+        until = _said(delivery.until) if delivery.until else ""
+        yield "revocation list", str(delivery.number), str(delivery), delivery.danger, "", until, ""
+        for late in delivery.late:
+            held = f"list {late.list_number}" if late.list_number else "no list"
+            words = held if late.has_receipt else "no receipt"
+            until = _said(late.until) if late.until else ""
+            yield "robot", late.name, "lacks the list", words, "", until, late.way.value
     if report.evidence:
         lines = f"{report.evidence.lines} lines"
         yield "evidence", "ledger", lines, report.evidence.head, "", "", ""

@@ -4,7 +4,7 @@ from datetime import datetime
 from enum import StrEnum
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.keystore import RobotState, State
+from pqsec_pki.keystore import ListDelivery, RobotState, State
 from pqsec_pki.lint import Severity
 from pqsec_pki.migration import MigrationPlan
 
@@ -202,6 +202,8 @@ class ParticipantRow:
     profile: str
     domains: str
     serial: str
+    superseded: tuple[datetime, ...]
+    """The ends of certificates before this one that are still valid."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -253,6 +255,8 @@ class Report:
     events: tuple[LedgerEvent, ...] | None
     sizes: tuple[HandshakeSize, ...] | None
     robots: tuple[RobotState, ...] | None
+    delivery: ListDelivery | None
+    """Which robots lack the newest revocation list; None without a gap if there is no list."""
     evidence: Evidence | None
     gaps: tuple[Gap, ...]
 
@@ -278,6 +282,7 @@ class Report:
             "events": self.events,
             "handshake_sizes": self.sizes,
             "robots": self.robots and list(map(_robot, self.robots)),
+            "delivery": self.delivery,
             "evidence": self.evidence,
         }
 

@@ -21,6 +21,7 @@ from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.est import REQUEST_ENDED
 from pqsec_pki.keystore import (
+    ADMISSION,
     ORDER,
     Entry,
     Keystore,
@@ -33,21 +34,21 @@ from pqsec_pki.keystore import (
     participant_states,
     policy_of,
 )
-from pqsec_pki.lifecycle import ParticipantSpec, PublicKeys
+from pqsec_pki.lifecycle import REVOCATIONS, ParticipantSpec, PublicKeys
 from pqsec_pki.server.call import SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.deciding import REFUSAL, decision_on, demanded, end_of, is_late
 from pqsec_pki.server.factories import Factory
 from pqsec_pki.server.identifying import APPROVED, NEW_TOKEN, Requesters
 from pqsec_pki.server.requester import Admitted, NotAdmittedError, Requester, refuse_many
-from pqsec_pki.server.token_lines import (
-    ADMISSION,
-    admission_entry,
-    request_of,
-)
+from pqsec_pki.server.token_lines import TokenState, admission_entry, request_of
 from pqsec_pki.server.waiting import WaitingRequests
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
+_READMIT = (
+    "if it came back, `pqsec enrolment-token create {} --replace --after-revocation` makes a token"
+    " for it, and `pqsec enrol --force` a new key"
+)
 _ORDERED = "an order"
 """The name of an admission by an order of a registration authority."""
 _BY_ORDER = "is enrolled by a registration authority's order, and no order has this request"
@@ -86,7 +87,7 @@ class Admission:
         holder.refuse_other_name(name)
         member = self._member(name, call.label)
         held = self._held(name)
-        _refuse_revoked(held)
+        self._refuse_revoked(held, None if ordered else holder.token)
         if ordered:
             return Admitted(name, _ORDERED)
         if holder.device:
@@ -111,8 +112,20 @@ class Admission:
         line = admission_entry(holder.by, name, request, self.now, certificate=holder.device)
         if planned:
             return Admitted(name, holder.by, line=line)
-        spec = replace(member.spec(), keys=keys)
-        return Admitted(name, holder.by, spec, line, replaces=held is not None)
+        spec, again = replace(member.spec(), keys=keys), held is not None and held.revoked
+        return Admitted(
+            name, holder.by, spec, line, replaces=held is not None, after_revocation=again
+        )
+
+    def _refuse_revoked(self, held: ParticipantState | None, token: TokenState | None) -> None:
+        """NotAdmittedError for a revoked participant, unless the token was made to admit it since.
+
+        By the lines of the ledger: one that was made before is perhaps in the hands of the thief.
+        """
+        if held is None or not held.revoked:
+            return
+        if token is None or token.readmits <= self.ledger.line_of(REVOCATIONS, held.sha256):
+            raise NotAdmittedError(403, f"{held.name} was revoked: {_READMIT.format(held.name)}")
 
     def _again(
         self,
@@ -323,11 +336,6 @@ def _being_answered() -> NotAdmittedError:
 def _ended(status: int, words: str) -> NotAdmittedError:
     """The refusal of a request that is never answered; the robot may send another one."""
     return NotAdmittedError(status, words, problem=REQUEST_ENDED)
-
-
-def _refuse_revoked(held: ParticipantState | None) -> None:
-    if held and held.revoked:
-        raise NotAdmittedError(403, f"{held.name} was revoked")
 
 
 def _request_in(der: bytes) -> CertificateRequest:

@@ -237,22 +237,22 @@ class CallHandler:
                 transaction.record(*lines)
 
     def _issue(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
-        """Issue in one change, or in two if some replace certificates; returns errors by name."""
-        replacing = [each for each in new if each.replaces]
-        adding = [each for each in new if not each.replaces]
-        return {**self._issue_alike(replacing), **self._issue_alike(adding)}
+        """Issue in one change, or in one for each kind of replacement; returns errors by name."""
+        failures: dict[str, PqsecError] = {}
+        for kind in ((True, True), (True, False), (False, False)):
+            alike = [each for each in new if (each.replaces, each.after_revocation) == kind]
+            failures |= self._issue_alike(alike)
+        return failures
 
     def _issue_alike(self, new: Sequence[Admitted]) -> dict[str, PqsecError]:
         """Issue in one change; if that fails, one by one."""
         specs = [each.spec for each in new if each.spec]
         if not specs:
             return {}
-        force = new[0].replaces
+        how = {"force": new[0].replaces, "after_revocation": new[0].after_revocation}
         lines = [each.line for each in new if each.line]
         try:
-            issue(
-                self.keystore, self.authorities, specs, records=lines, now=self.clock(), force=force
-            )
+            issue(self.keystore, self.authorities, specs, records=lines, now=self.clock(), **how)
         except PqsecError as error:
             if len(new) == 1:
                 return {new[0].name: error}

@@ -37,6 +37,8 @@ class Admitted:
     """The line that the ledger gets with it."""
     replaces: bool = False
     """Whether the participant exists."""
+    after_revocation: bool = False
+    """Whether it was revoked, and the token was made to admit it since."""
 
 
 @dataclass(frozen=True, slots=True)

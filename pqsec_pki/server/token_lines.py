@@ -14,18 +14,22 @@ from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.errors import KeystoreError, UsageError, shown
 from pqsec_pki.est import EnrolmentToken, is_secret
 from pqsec_pki.keystore import (
+    ADMISSION,
     Entry,
     Keystore,
     Ledger,
     change,
     is_several,
     matching,
+    participant_states,
+    policy_of,
     regular_name,
 )
+from pqsec_pki.server.deciding import demanded
 
-TOKEN, TOKEN_END, ADMISSION = "enrolment-token", "enrolment-token-end", "admission"
-"""Kinds of lines. The name of an admission says by what."""
-_REQUEST = "request"
+TOKEN, TOKEN_END = "enrolment-token", "enrolment-token-end"
+"""Kinds of lines; the name of an admission says by what."""
+_REQUEST, _READMITS = "request", "after_revocation"
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,6 +44,9 @@ class TokenState:
     used: int
     replaces: bool
     """Whether it admits participants that have a valid certificate for another key."""
+    readmits: int
+    """The number of its ledger line if it was made to admit a participant that had been revoked
+    before; else 0."""
     made_at: datetime
     not_after: datetime
     revoked: bool
@@ -57,6 +64,9 @@ class TokenState:
             uses=int(details["uses"]),
             used=ledger.count(ADMISSION, by_token(entry.name)),
             replaces=details.get("replaces") == "yes",
+            readmits=ledger.line_of([TOKEN], entry.sha256)
+            if details.get(_READMITS) == "yes"
+            else 0,
             made_at=entry.made_at,
             not_after=entry.ends,
             revoked=ledger.count(TOKEN_END, entry.name) > 0,
@@ -82,6 +92,7 @@ class TokenState:
             "uses": self.uses,
             "used": self.used,
             "replaces": self.replaces,
+            "after_revocation": self.readmits > 0,
             "made_at": self.made_at,
             "not_after": self.not_after,
             "end": self.end(now),
@@ -107,10 +118,20 @@ def token_states(keystore: Keystore) -> list[TokenState]:
         return [TokenState.of(ledger, each) for each in ledger.of_kind(TOKEN)]
 
 
-def record_token(
-    keystore: Keystore, token: EnrolmentToken, *, uses: int, replaces: bool, now: datetime
+def record_token(  # noqa: PLR0913 -- the choices are the user's, and by name
+    keystore: Keystore,
+    token: EnrolmentToken,
+    *,
+    uses: int,
+    replaces: bool,
+    after_revocation: bool = False,
+    now: datetime,
 ) -> None:
-    """Enter a new token; UsageError for a name that no participant can have, or a past end."""
+    """Enter a new token; UsageError for a name that no participant can have, or a past end.
+
+    KeystoreError for one participant that was revoked, unless `after_revocation`: no request for
+    it would be admitted; and for `after_revocation` where several people approve what is issued.
+    """
     for name in token.names.split():
         if not (is_several(name) or regular_name(name) == name):
             raise UsageError(f"'{shown(name)}' is not a participant's name")
@@ -118,14 +139,45 @@ def record_token(
         raise UsageError(
             "a token that replaces a participant's certificate is for one name and one use"
         )
+    if after_revocation and not replaces:
+        raise UsageError("a token for what was revoked replaces its certificate")
     if token.not_after <= now:
         raise UsageError("the end of the token is in the past")
-    details = {"names": token.names, "uses": str(uses)} | ({"replaces": "yes"} if replaces else {})
+    details = {
+        "names": token.names,
+        "uses": str(uses),
+        **({"replaces": "yes"} if replaces else {}),
+        **({_READMITS: "yes"} if after_revocation else {}),
+    }
     with change(keystore.root) as transaction:
+        _refuse_revoked(keystore, token.names, after_revocation=after_revocation, now=now)
         transaction.record(
             Entry.of(
                 TOKEN, token.id, token.secret_hash, now, not_after=token.not_after, details=details
             )
+        )
+
+
+def _refuse_revoked(
+    keystore: Keystore, names: str, *, after_revocation: bool, now: datetime
+) -> None:
+    with keystore.open_ledger() as ledger:
+        if after_revocation and demanded(policy_of(ledger)):
+            raise KeystoreError(
+                "what is issued here needs approvals, and no token replaces those",
+                hint="`pqsec propose issue --csr FILE --force --after-revocation` proposes it",
+            )
+        single = [each for each in names.split() if not is_several(each)]
+        revoked = [
+            each.name
+            for each in participant_states(keystore, ledger, single, now=now)
+            if each.revoked
+        ]
+    if revoked and not after_revocation:
+        raise KeystoreError(
+            f"revoked: {', '.join(revoked)}: no request for it is admitted",
+            hint="if it came back, --replace --after-revocation makes a token that admits it, with"
+            " a new key",
         )
 
 

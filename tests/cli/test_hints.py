@@ -11,6 +11,7 @@ import pqsec_pki
 ROOT = Path(pqsec_pki.__file__).parent
 REPLACES_A_FILE = "a file of the user's choice is in the way, and the hint says that it is replaced"
 SAYS_WHAT = "the hint says that the user must state the rights that were lost, or would be, again"
+NEWEST = "a copy of what the keystore has takes the place of an older copy"
 IF_WANTED = "for a participant that was revoked, and only if it may come back"
 JUSTIFIED = {
     "choose another place, or --force to replace it": REPLACES_A_FILE,
@@ -21,8 +22,17 @@ JUSTIFIED = {
     "to admit it again: `pqsec issue` with --force --after-revocation": IF_WANTED,
     "to admit them again, with new rights: `* --force --after-revocation`": IF_WANTED,
     "to issue {name} again, use `pqsec issue` with --force --after-revocation": IF_WANTED,
-    "remove it from the file, or run `pqsec issue {} --validity {} --force --after-revocation`, and"
-    " apply it again": IF_WANTED,
+    "remove it from the file; or, if it came back, run `pqsec issue {} --validity {} --force"
+    " --after-revocation`, and apply it again": IF_WANTED,
+    "remove it from the file; or, if it came back, `pqsec enrolment-token create {} --replace"
+    " --after-revocation`, or `pqsec issue --csr` with --force --after-revocation, and apply it"
+    " again": IF_WANTED,
+    "if it came back, `pqsec enrolment-token create {} --replace --after-revocation` makes a token"
+    " for it, and `pqsec enrol --force` a new key": IF_WANTED,
+    "on the robot: `pqsec enrol --force` makes a new key for *": IF_WANTED,
+    "`pqsec propose issue --csr FILE --force --after-revocation` proposes it": IF_WANTED,
+    "* bundle *--outdated --no-keys --bundles bundles --force": NEWEST,
+    "* ca crl --show --force -o crl.pem": NEWEST,
     "Delete its enclave. To allow it again, run `pqsec issue` with --force"
     " --after-revocation.": IF_WANTED,
     "issue it again: pqsec issue --force, with its topics or a --policy": SAYS_WHAT,

@@ -4,6 +4,9 @@ OpenSSL judges the lists themselves; the plugins of Cyclone DDS and Fast DDS dec
 a participant with a list starts, and which peers it lets in.
 """
 
+import json
+import shlex
+import shutil
 from contextlib import ExitStack
 from datetime import timedelta
 from functools import cache, partial
@@ -19,6 +22,7 @@ from tests.interop.der import Der
 from tests.interop.either import shake_hands
 from tests.interop.fastdds import participant as fastdds_participant
 from tests.interop.test_openssl import ALT_VALUE, ml_dsa_holds
+from tests.running import clean_environment, run_here
 
 pytestmark = pytest.mark.interop
 
@@ -159,3 +163,36 @@ def test_with_a_list_that_has_ended_nobody_starts(starts, tmp_path, now):
     renew_list(lab.keystore, lab.authorities, now=before, validity=day)
     with pytest.raises(RefusedError, match="validate_local_identity"):
         starts(lab.bob)
+
+
+@pytest.mark.slow
+def test_after_the_printed_command_a_stock_cyclone_refuses_the_thief(plugins, tmp_path, requires):
+    """`revoke` sent ROS 2 users away: the robots' copies went on, and the thief's stop arrived."""
+    requires(shutil.which("gcc"), "a C compiler", "apt install gcc cyclonedds-dev")
+    environment = clean_environment()
+
+    def pqsec(*words):
+        return run_here([str(each) for each in words], cwd=tmp_path, env=environment)
+
+    def meets(name):
+        found = pqsec("-k", "robot", "try", "cyclonedds", name, "/arm", "--timeout", "20")
+        return found[0], "".join(found[1:])
+
+    pqsec("-k", "k", "ca", "init", "--no-passphrase", "--profile", "classical")
+    pqsec("-k", "k", "issue", "/arm", "--ros-node", "/arm", "--ros-subscribe", "/estop")
+    for name in ("/thief", "/desk"):
+        pqsec("-k", "k", "issue", name, "--ros-node", name, "--ros-publish", "/estop")
+    shutil.copytree(tmp_path / "k", tmp_path / "robot", symlinks=True)  # what robots have
+    code, told, _ = pqsec("-k", "k", "revoke", "/thief", "--yes", "--json")
+    delivery = json.loads(told)["delivery"]
+    assert code == 0
+    assert [each["name"] for each in delivery["late"]] == ["/arm", "/desk"]
+    assert [each["name"] for each in delivery["accepted"]] == ["/thief"]
+    assert meets("/thief")[0] == 0  # it is true: the robot accepts the thief
+    [command] = delivery["commands"]
+    assert pqsec(*shlex.split(command)[1:])[0] == 0
+    shutil.copy(tmp_path / "crl.pem", tmp_path / "robot/enclaves/arm/crl.pem")
+    code, words = meets("/thief")
+    assert code == 1
+    assert "certificate revoked" in words
+    assert meets("/desk")[0] == 0

@@ -201,8 +201,9 @@ def test_who_was_pruned_and_is_wanted_again_is_told_and_not_issued(scene):
     scene.change("1..2", "1..3")
     found = scene.plan()
     assert found.steps == ()
-    assert [(each.name, each.why) for each in found.blocked] == [("/r3", "was revoked")]
-    assert not found.in_order
+    assert [each.name for each in found.ended] == ["/r3"]
+    assert "--after-revocation" in found.ended[0].way_back
+    assert found.in_order
 
 
 def test_validity_counts_from_the_next_certificate_on(scene):
@@ -356,9 +357,11 @@ def test_a_renewal_by_hand_is_no_drift(scene, times):
 def test_who_was_revoked_by_hand_is_told(scene):
     keystore = scene.keystore
     revoke(keystore, keystore.unlock(None), ["/r1"], reason=Reason.KEY_COMPROMISE, now=NOW)
-    assert [each.name for each in scene.plan().blocked] == ["/r1"]
+    assert [each.name for each in scene.plan().ended] == ["/r1"]
     scene.apply()
-    assert [each.name for each in scene.plan().blocked] == ["/r1"]
+    found = scene.plan()
+    assert [each.name for each in found.ended] == ["/r1"]
+    assert found.in_order
 
 
 @pytest.mark.parametrize("what", [damage, os.unlink])

@@ -90,7 +90,7 @@ def test_who_was_revoked_meanwhile_stays_so(scene):
     keystore = scene.keystore
     revoke(keystore, keystore.unlock(None), ["/r2"], now=now)
     assert sorted(name for _, name in scene.take(found, now)) == ["/monitor", "/r1", "/r3"]
-    assert [each.name for each in scene.plan(now).blocked] == ["/r2"]
+    assert [each.name for each in scene.plan(now).ended] == ["/r2"]
 
 
 def test_new_cas_meanwhile_end_it(scene):

@@ -23,7 +23,7 @@ from pqsec_pki.documents import DomainSet, Governance, ros
 from pqsec_pki.enrolment import import_receipts, install
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.errors import KeystoreError, MalformedError
-from pqsec_pki.keystore import InstallState, Keystore
+from pqsec_pki.keystore import InstallState, Keystore, list_delivery
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew, revoke, sign_governance
 from pqsec_pki.lint import Severity
 from pqsec_pki.migration import MigrationPlan, MigrationStep, StackNeeds, plan_migration
@@ -271,6 +271,24 @@ def test_what_robots_run_is_told_by_their_receipts(tmp_path):
     assert "Files that differ" in html_of(report)
     [row] = [row for row in read_csv(csv_of(report)) if row[:2] == ["robot", ROBOT]]
     assert row[3].startswith("outdated: runs ")
+
+
+def test_who_lacks_the_revocation_list_is_told_until_all_have_it(tmp_path):
+    keystore = made(tmp_path / "k", "classical", names=("/arm", "/thief"))
+    assert report_of(keystore, now=NOW).delivery is None
+    cas = keystore.unlock(None)
+    renew(keystore, cas, ["/arm"], now=NOW)
+    revoke(keystore, cas, ["/thief"], now=NOW)
+    report = report_of(keystore, now=NOW)
+    assert report.delivery == list_delivery(keystore, now=NOW)
+    page, rows = html_of(report), list(read_csv(csv_of(report)))
+    assert "1 of 1 robots do not have list 1 yet" in page
+    assert "they accept /thief (publish x)" in page
+    assert "ca crl --show" in page
+    assert "1 earlier certificate valid until" in page
+    assert ["robot", "/arm", "lacks the list", "no receipt"] in [row[:4] for row in rows]
+    assert ["participant", "/arm", "classical", "superseded"] in [row[:4] for row in rows]
+    assert report.to_json()["delivery"].accepted[0].name == "/thief"
 
 
 # What cannot be read

@@ -1,0 +1,360 @@
+"""Which robots have the newest revocation list, by their receipts, and what the others accept.
+
+A robot refuses a revoked certificate only if its own list has it. The ledger knows each list by its
+SHA-256, and a receipt names the list that is installed. A robot without a receipt counts as one
+that lacks the list: nobody knows that it has it.
+"""
+
+import shlex
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Self
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._times import said
+from pqsec_pki.credentials import REVOCATION_LIST
+from pqsec_pki.documents import DefaultAction, Grant
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap
+from pqsec_pki.keystore.receipt import RECEIPT, Receipt
+from pqsec_pki.keystore.states import ParticipantState, participant_states
+from pqsec_pki.keystore.status_report import signed_grants
+
+ADMISSION = "admission"
+"""The kind of lines about requests that a server admitted."""
+MOST_SHOWN = 10
+"""Names in words; JSON has all."""
+_MOST_TOPICS = 3
+
+
+class Way(StrEnum):
+    """How files of the keystore get to a robot."""
+
+    FETCH = "fetch"
+    """It enrolled over a network: `pqsec renew --from` fetches them."""
+    BUNDLE = "bundle"
+    """It generated its keys, or sent a receipt: `pqsec install` installs a bundle."""
+    COPY = "copy"
+    """Its keys were generated here: its folder was exported or copied."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AcceptedCertificate:
+    """A revoked certificate that has not expired."""
+
+    name: str
+    serial: str
+    not_after: datetime
+    list_number: int | None
+    """The number of the first list that has it; None if a CA issued it that was replaced since, so
+    that no list of today has it: a robot with the files of that CA accepts it."""
+    rights: tuple[str, ...]
+    """What its participant's permissions allow, such as `publish rt/estop`; empty if they cannot
+    be read."""
+
+    def __str__(self) -> str:
+        topics = [*self.rights[:_MOST_TOPICS]]
+        topics += ["..."] if len(self.rights) > len(topics) else []
+        return f"{self.name} ({', '.join(topics)})" if topics else self.name
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LateRobot:
+    """The robot of a participant, of which nobody knows that it has the newest list."""
+
+    name: str
+    groups: tuple[str, ...]
+    """Those of the domain file that it is in."""
+    has_receipt: bool
+    list_number: int | None
+    """The number of the list that its receipt names; None without one of this CA."""
+    list_ends: datetime | None
+    """When that list ends: then its stack refuses every peer."""
+    way: Way
+    until: datetime | None
+    """When it accepts no revoked certificate any more, even without a new list; None if it accepts
+    none now. Without a receipt it is not known whether it does."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ListDelivery:
+    """How far the newest revocation list got."""
+
+    keystore: Path
+    number: int
+    """The number of the newest list."""
+    robots: int
+    """How many participants need it: those whose newest certificate is valid."""
+    late: tuple[LateRobot, ...]
+    """By name."""
+    accepted: tuple[AcceptedCertificate, ...]
+    """What at least one of them accepts."""
+
+    @property
+    def without_receipt(self) -> int:
+        """How many of the late robots have no receipt."""
+        return sum(not each.has_receipt for each in self.late)
+
+    @property
+    def until(self) -> datetime | None:
+        """When the last robot accepts no revoked certificate any more; None if none does now."""
+        return max((each.until for each in self.late if each.until), default=None)
+
+    def to_json(self) -> dict[str, object]:
+        """The delivery for --json."""
+        return {
+            "number": self.number,
+            "robots": self.robots,
+            "late": self.late,
+            "without_receipt": self.without_receipt,
+            "groups": dict(self._groups),
+            "accepted": self.accepted,
+            "until": self.until,
+            "commands": self.commands,
+        }
+
+    def __str__(self) -> str:
+        """How many robots lack it, in one line."""
+        if not self.late:
+            every = "the only robot has" if self.robots == 1 else f"all {self.robots} robots have"
+            return f"{every} list {self.number}" if self.robots else "no robot needs it"
+        words = f"{len(self.late)} of {self.robots} robots do not have list {self.number} yet"
+        if self.without_receipt:
+            words += f" ({self.without_receipt} without a receipt: not known)"
+        return words
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """All of it, for people: the robots, what they accept and until when, and what to do."""
+        if not self.late:
+            return (str(self),)
+        return (f"{self}: {self.names}", *self._group_lines(), self.danger, *self._ways())
+
+    @property
+    def names(self) -> str:
+        """The first robots by name, with the lists that their receipts name."""
+        shown = [f"{each.name} ({_held(each)})" for each in self.late[:MOST_SHOWN]]
+        more = len(self.late) - len(shown)
+        return ", ".join(shown) + (f" and {more} more" if more else "")
+
+    @property
+    def danger(self) -> str:
+        """What they accept, and until when."""
+        if not self.accepted or self.until is None:
+            return "none of them accepts a revoked certificate"
+        shown = [*dict.fromkeys(map(str, self.accepted))]
+        more = f" and {len(shown) - MOST_SHOWN} more" if len(shown) > MOST_SHOWN else ""
+        names = ", ".join(shown[:MOST_SHOWN])
+        end = said(self.until)
+        return f"until they have it they accept {names}{more}; at the latest until {end}"
+
+    @property
+    def commands(self) -> tuple[str, ...]:
+        """The commands that bring the list to the late robots, on this machine."""
+        ways, found = {each.way for each in self.late}, []
+        keystore = f"pqsec -k {shlex.quote(str(self.keystore))}"
+        if ways & {Way.BUNDLE, Way.FETCH}:
+            names = [shlex.quote(each.name) for each in self.late if each.way is not Way.COPY]
+            some = " ".join(names) + " " if len(names) <= MOST_SHOWN else ""
+            found.append(f"{keystore} bundle {some}--outdated --no-keys --bundles bundles --force")
+        if Way.COPY in ways:
+            found.append(f"{keystore} ca crl --show --force -o crl.pem")
+        return tuple(found)
+
+    def _ways(self) -> Iterator[str]:
+        count = Counter(each.way for each in self.late)
+        first, last = self.commands[0], self.commands[-1]
+        if count[Way.FETCH]:
+            words = "enrolled over a network: `pqsec renew --from` fetches it there"
+            yield f"{count[Way.FETCH]} {words}"
+        if count[Way.BUNDLE] or count[Way.FETCH]:
+            yield (
+                f"bundles for {count[Way.BUNDLE] + count[Way.FETCH]}, for `pqsec install` there:"
+                f" {first}"
+            )
+        if count[Way.COPY]:
+            yield (
+                f"for {count[Way.COPY]} with keys from here, beside cert.pem in the enclave of each"
+                f" copy (ROS 2 too): {last}"
+            )
+        yield (
+            "stacks read crl.pem when a participant starts: restart it; a configuration for Cyclone"
+            " DDS or Fast DDS that does not name crl.pem is exported again; OpenDDS reads no list"
+        )
+
+    @property
+    def _groups(self) -> Counter[str]:
+        return Counter(group for each in self.late for group in each.groups)
+
+    def _group_lines(self) -> Iterator[str]:
+        """How many of each group are late."""
+        if self._groups:
+            alone = sum(not each.groups for each in self.late)
+            words = [f"@{group}: {count}" for group, count in sorted(self._groups.items())]
+            yield f"by group: {', '.join(words + ([f'in none: {alone}'] if alone else []))}"
+
+
+def list_delivery(
+    keystore: Keystore,
+    *,
+    now: datetime,
+    participants: Iterable[ParticipantState] | None = None,
+) -> ListDelivery | None:
+    """Which robots have the newest list at `now`; None if the identity CA issued no list, or while
+    two identity CAs are trusted, when there is none.
+
+    `participants` are the states of all, if the caller has read them. KeystoreError for a damaged
+    ledger. Only permissions of revoked participants are read.
+    """
+    issuer = keystore.identity_ca.fingerprint
+    with keystore.open_ledger() as ledger:
+        lists = {each.sha256: each for each in ledger.of_kind("crl")}
+        own = [each for each in lists.values() if each.issuer == issuer]
+        if not own or Overlap.of(keystore):
+            return None
+        lines = ledger.numbers("crl")
+        revocations = _Revocations.of(keystore, ledger, own, lines, now)
+        receipts = {each.name: Receipt.of(each) for each in ledger.newest(RECEIPT)}
+        admitted = {each.details.get("participant", "") for each in ledger.of_kind(ADMISSION)}
+        states = participants or participant_states(keystore, ledger, now=now)
+        robots = [each for each in states if not each.revoked and each.not_after >= now]
+    robots.sort(key=lambda each: each.name)
+    groups, late, accepted = _groups_of(keystore), [], set[str]()
+    for each in robots:
+        receipt = receipts.get(each.name)
+        held = lists.get(receipt.files.get(REVOCATION_LIST, "")) if receipt else None
+        if held is own[-1]:
+            continue
+        is_own = held is not None and held.issuer == issuer
+        found = revocations.accepted(held, lines[held.sha256] if held else 0, is_own=is_own)
+        accepted |= found.keys()
+        late.append(
+            LateRobot(
+                name=each.name,
+                groups=groups.get(each.name, ()),
+                has_receipt=receipt is not None,
+                list_number=held.list_number if held and is_own else None,
+                list_ends=held.ends if held else None,
+                way=_way(each, receipt, admitted),
+                until=_until(found, held),
+            )
+        )
+    return ListDelivery(
+        keystore=keystore.root,
+        number=own[-1].list_number,
+        robots=len(robots),
+        late=tuple(late),
+        accepted=tuple(each for each in revocations.every if each.serial in accepted),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Revocations:
+    """The revoked certificates that have not expired, oldest revocation first."""
+
+    every: tuple[AcceptedCertificate, ...]
+    lines: tuple[int, ...]
+    """The ledger line of each revocation."""
+    now: datetime
+    known: dict[tuple[int, bool], dict[str, datetime]]
+    """What was found before: thousands of robots have the same list."""
+
+    @classmethod
+    def of(
+        cls,
+        keystore: Keystore,
+        ledger: Ledger,
+        own: Sequence[Entry],
+        list_lines: Mapping[str, int],
+        now: datetime,
+    ) -> Self:
+        """`own` are the lists of the CA that issues now."""
+        line_of, rights = ledger.numbers("revocation"), dict[str, tuple[str, ...]]()
+        found, lines = [], []
+        for each in ledger.of_kind("revocation"):
+            if each.ends < now:
+                continue
+            line = line_of[each.sha256]
+            having = (one for one in own if list_lines[one.sha256] > line)
+            first = next(having, None) if each.issuer == own[-1].issuer else None
+            if each.name not in rights:
+                rights[each.name] = _rights(keystore, each.name)
+            lines.append(line)
+            found.append(
+                AcceptedCertificate(
+                    name=each.name,
+                    serial=f"{each.serial_number:x}",
+                    not_after=each.ends,
+                    list_number=first.list_number if first else None,
+                    rights=rights[each.name],
+                )
+            )
+        return cls(tuple(found), tuple(lines), now, {})
+
+    def accepted(self, held: Entry | None, line: int, *, is_own: bool) -> dict[str, datetime]:
+        """The ends of those that a robot with the list `held` of that line accepts, by serial.
+
+        A list that has ended lets nobody in. A robot with a list of the CA that issues now has its
+        files, and no longer trusts one that was replaced.
+        """
+        if held and held.ends < self.now:
+            return {}
+        if (line, is_own) not in self.known:
+            self.known[line, is_own] = {
+                each.serial: each.not_after
+                for number, each in zip(self.lines, self.every, strict=True)
+                if number > line and not (is_own and each.list_number is None)
+            }
+        return self.known[line, is_own]
+
+
+def _until(accepted: Mapping[str, datetime], held: Entry | None) -> datetime | None:
+    """When none of these is accepted any more: all have ended, or its own list has."""
+    last = max(accepted.values(), default=None)
+    return min(last, held.ends) if last and held else last
+
+
+def _way(state: ParticipantState, receipt: Receipt | None, admitted: set[str]) -> Way:
+    if state.name in admitted:
+        return Way.FETCH
+    return Way.BUNDLE if state.requested or receipt else Way.COPY
+
+
+def _held(robot: LateRobot) -> str:
+    if not robot.has_receipt:
+        return "no receipt"
+    return f"list {robot.list_number}" if robot.list_number else "no list"
+
+
+def _groups_of(keystore: Keystore) -> dict[str, tuple[str, ...]]:
+    """The groups of each participant; empty if they cannot be read."""
+    found: dict[str, tuple[str, ...]] = {}
+    with suppress(PqsecError):
+        for group, names in keystore.groups.items():
+            for name in names:
+                found[name] = (*found.get(name, ()), group)
+    return found
+
+
+def _rights(keystore: Keystore, name: str) -> tuple[str, ...]:
+    """What the permissions in the participant's folder allow; empty if they cannot be read."""
+    with suppress(PqsecError):
+        grants = signed_grants(keystore, name)
+        return tuple(dict.fromkeys(each for grant in grants for each in _allowed(grant)))
+    return ()
+
+
+def _allowed(grant: Grant) -> Iterator[str]:
+    if grant.default is DefaultAction.ALLOW:
+        yield "all that is not denied"
+    for rule in grant.rules:
+        for word, criteria in (("publish", rule.publish), ("subscribe", rule.subscribe)):
+            for topic in (topic for each in criteria for topic in each.topics if rule.allow):
+                yield f"{word} {topic}"
