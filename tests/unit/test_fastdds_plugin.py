@@ -48,14 +48,16 @@ const void *const authentication[] __asm__("{PKIDH}") = {{0, 0, destroy, destroy
 const void *const access_control[] __asm__("{PERMISSIONS}") = {{0, 0, destroy, destroy, slot}};
 """
 HEADER = '#define FASTRTPS_VERSION_STR "2.9.1"\n'
+CDR_HEADER = '#define FASTCDR_VERSION_STR "1.0.26"\n'
 
 
 @pytest.fixture
 def compiled(requires, tmp_path) -> Callable[..., Path]:
     """compiled(source, flag...) is a library, with headers of 2.9.1 beside it."""
     compiler = requires(shutil.which("gcc"), "a C compiler", "apt-get install gcc libc6-dev")
-    (tmp_path / "include/fastrtps").mkdir(parents=True)
-    (tmp_path / "include/fastrtps/config.h").write_text(HEADER)
+    for name, text in (("fastrtps", HEADER), ("fastcdr", CDR_HEADER)):
+        (tmp_path / "include" / name).mkdir(parents=True)
+        (tmp_path / "include" / name / "config.h").write_text(text)
     (tmp_path / "lib").mkdir()
 
     def make(source: str, *flags: str, name: str = "libfastrtps.so.2.9.1") -> Path:
@@ -72,8 +74,9 @@ def compiled(requires, tmp_path) -> Callable[..., Path]:
 def test_a_library_that_calls_its_factories_by_name_can_run_the_plugin(compiled, tmp_path):
     found = examine(compiled(CALLED + TABLES))
     assert (found.title, found.generation) == ("Fast DDS 2.9.1", 2)
-    assert found.include == tmp_path / "include"
+    assert found.include == (tmp_path / "include",)
     assert not found.by_properties
+    assert not found.derived
     assert [sorted(names) for names in found.tables[0]][2:] == [[f"{SPACE}5PKIDH5validEv"]]
 
 
@@ -111,8 +114,11 @@ def test_headers_of_another_version_are_refused(compiled, tmp_path):
         examine(path)
     assert "libfastrtps-dev" in refusal.value.hint
     header.unlink()
-    with pytest.raises(AdapterError, match="its headers are not there"):
+    with pytest.raises(
+        AdapterError, match="headers of Fast DDS, and they are not there"
+    ) as refusal:
         examine(path)
+    assert "that has fastrtps/config.h: --include DIR" in refusal.value.hint
 
 
 def test_of_several_libraries_one_must_be_named(compiled, tmp_path):
