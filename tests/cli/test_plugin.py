@@ -108,6 +108,8 @@ def test_a_file_of_the_users_own_is_not_uninstalled(pqsec, tmp_path, monkeypatch
     [
         ("plugin install --library x", "--library is for fastdds"),
         ("plugin install opendds --library x", "--library is for fastdds"),
+        ("plugin install --include x", "--include is for fastdds"),
+        ("plugin install opendds --include x", "--include is for fastdds"),
         ("plugin install --root x", "--root is for opendds"),
         ("plugin install fastdds --systemd", "--systemd is not for fastdds"),
         ("plugin install opendds --systemd", "--systemd is not for opendds"),

@@ -17,10 +17,11 @@ from tests.docs.test_documents_run import _all_commands
 COMMANDS = generated.commands()
 PAGES = generated.command_pages()
 INDEX = f"{generated.COMMANDS}/index.md"
-MOST_LINES = 5460
+MOST_LINES = 5475
 """Of all hand-written pages of docs/ but the decisions, which are a record. 4,500 held for what
 stood before installing, enrolment over a network, a ledger on PostgreSQL, the proof of the
-handshake, the table of EST, editors, signed requests, and the study of both versions."""
+handshake, the table of EST, editors, signed requests, the study of both versions, and what was run
+with which version of Fast DDS."""
 
 
 def test_every_command_has_a_page_that_the_index_links():

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.errors import FileError, MalformedError, UsageError
-from pqsec_pki.plugin.building import SOURCES
+from pqsec_pki.errors import FileError, MalformedError, UsageError, shown
+from pqsec_pki.plugin.building import SOURCES, CompileError
 from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.stacks import stack_named
 from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors._symbols import read_symbols
-from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, installed
+from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, here, installed
 from pqsec_pki.vendors.fastdds_library import AdapterError, examine, find_fastdds, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from pqsec_pki.vendors.ros2 import preflight
@@ -78,6 +78,50 @@ def test_a_library_that_calls_its_factories_by_name_can_run_the_plugin(compiled,
     assert not found.by_properties
     assert not found.derived
     assert [sorted(names) for names in found.tables[0]][2:] == [[f"{SPACE}5PKIDH5validEv"]]
+
+
+ENDPOINTS = {
+    "15WriterProxyData": "27PublicationBuiltinTopicData",
+    "15ReaderProxyData": "28SubscriptionBuiltinTopicData",
+}
+CONVERTS = [
+    f"_ZN8eprosima7fastdds4rtps21from_proxy_to_builtinERKNS1_{own}ERNS1_{public}E"
+    for own, public in ENDPOINTS.items()
+]
+READS = [
+    f"_ZN8eprosima7fastdds4rtps{own}21read_from_cdr_messageEPNS1_12CDRMessage_tESt5arrayIhLm2EE"
+    for own in ENDPOINTS
+]
+
+
+def of_3(*functions: str) -> str:
+    """The library's source with the names of Fast DDS 3, and these functions."""
+    names = "".join(
+        f'void each{at}(void) __asm__("{name}"); void each{at}(void) {{}}\n'
+        for at, name in enumerate(functions)
+    )
+    return (CALLED + TABLES).replace("8fastrtps", "7fastdds") + names
+
+
+@pytest.mark.parametrize(
+    ("functions", "derived"), [(CONVERTS, False), (READS, True), ([*CONVERTS, *READS], False)]
+)
+def test_what_is_known_of_an_endpoint_follows_from_what_the_library_exports(
+    compiled, tmp_path, functions, derived
+):
+    """Not from its version, which is another here."""
+    (tmp_path / "include/fastdds").mkdir()
+    header = tmp_path / "include/fastdds/config.hpp"
+    header.write_text('#define FASTDDS_VERSION_STR "3.9.0"\n')
+    found = examine(compiled(of_3(*functions), name="libfastdds.so.3.9.0"))
+    assert (found.generation, found.derived) == (3, derived)
+
+
+@pytest.mark.parametrize("functions", [[], CONVERTS[:1], READS[1:], [CONVERTS[0], READS[1]]])
+def test_a_library_that_describes_endpoints_in_another_way_is_refused(compiled, functions):
+    with pytest.raises(AdapterError, match="in a way that pqsec does not know") as refusal:
+        examine(compiled(of_3(*functions), name="libfastdds.so.3.9.0"))
+    assert "report this one" in refusal.value.hint
 
 
 REFUSED = {
@@ -324,6 +368,40 @@ def test_the_check_of_a_shell_knows_what_is_preloaded(keystore, folder, rmw):
     assert any("PQS6" in what for what in found) is (rmw == "rmw_cyclonedds_cpp")
     if rmw == "rmw_cyclonedds_cpp":
         assert "--rmw fastrtps" in found["RMW_IMPLEMENTATION"].fix
+
+
+BROKEN = """
+#include "of_another_build.h"
+"""
+UNDEFINED = "void nowhere(void); void nobody(void); int main(void) { nowhere(); nobody(); }"
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (BROKEN, ["fatal error", "of_another_build.h"]),
+        (UNDEFINED, ["undefined reference", "nowhere", "nobody"]),
+        ("int main(void) { return wrong }", ["'wrong' undeclared", "expected ';'"]),
+    ],
+)
+def test_what_a_compiler_says_of_errors_reaches_the_user_as_one_line(
+    requires, tmp_path, monkeypatch, source, words
+):
+    requires(shutil.which("c++"), "a C++ compiler", "apt-get install g++")
+    monkeypatch.setenv("LC_ALL", "C")
+    (tmp_path / "source.c").write_text(source)
+    with pytest.raises(CompileError, match=r"^the compiler says: ") as refusal:
+        here().run([here().c, "source.c"], tmp_path)
+    said = str(refusal.value)
+    assert shown(said, len(said)) == said, "no line breaks, and nothing else that is not printable"
+    assert [each for each in words if each not in said] == []
+    assert len(said) < 1600
+
+
+def test_a_compiler_that_writes_without_end_is_cut(tmp_path):
+    with pytest.raises(CompileError) as refusal:
+        here().run([sys.executable, "-c", f"raise SystemExit({'error: x' * 10**6!r})"], tmp_path)
+    assert len(str(refusal.value)) < 1600
 
 
 def test_the_sources_are_beside_those_of_the_shim():
