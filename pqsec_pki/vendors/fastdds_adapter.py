@@ -161,7 +161,9 @@ def _run(command: Sequence[str], folder: Path) -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise CompileError(f"the compiler cannot be run: {error}") from error
+        failed = CompileError(f"the compiler cannot be run: {error}")
+        failed.output = str(error)
+        raise failed from error
     if done.returncode != 0:
         raise CompileError.of(done.stderr)
 
