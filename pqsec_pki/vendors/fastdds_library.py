@@ -111,23 +111,7 @@ def examine(path: Path, root: Path = MACHINE, include: Iterable[Path] = ()) -> F
     AdapterError with the reason if pqsec's plugin cannot run in it, or headers are not there;
     FileError and MalformedError if it cannot be read, or is not a library.
     """
-    library = read_library(path)
-    if not runs_here(library):
-        raise AdapterError(f"{shown(str(path))} is for another processor than this machine's")
-    names = {table_of(each, name) for each in _SPACES for name in PLUGINS}
-    symbols = read_symbols(path, names)
-    generation = next((each for each in _SPACES if _factories(each) <= symbols.exported), None)
-    if generation is None:
-        raise AdapterError(
-            f"{shown(str(path))} does not export the functions that make security plugins:"
-            " it is not Fast DDS, or was built without security",
-            hint="use a Fast DDS that was built with -DSECURITY=ON",
-        )
-    if not library.build_id:
-        raise AdapterError(
-            f"{shown(str(path))} has no build ID, by which pqsec's plugin recognises it",
-            hint="link Fast DDS with -Wl,--build-id",
-        )
+    library, generation, symbols = _recognised(path)
     _refuse_bound(path, generation, symbols)
     tables = tuple(symbols.tables.get(table_of(generation, name), ()) for name in PLUGINS)
     derived = _derived(path, generation, symbols)
@@ -147,6 +131,29 @@ def examine(path: Path, root: Path = MACHINE, include: Iterable[Path] = ()) -> F
         libraries=tuple(dict.fromkeys((library.path.parent, *folder))),
         tables=tables,
     )
+
+
+def _recognised(path: Path) -> tuple[Library, int, Symbols]:
+    """The library, the generation of its classes, and its symbols; AdapterError if it is not Fast
+    DDS for this machine, with security and a build ID."""
+    library = read_library(path)
+    if not runs_here(library):
+        raise AdapterError(f"{shown(str(path))} is for another processor than this machine's")
+    names = {table_of(each, name) for each in _SPACES for name in PLUGINS}
+    symbols = read_symbols(path, names)
+    generation = next((each for each in _SPACES if _factories(each) <= symbols.exported), None)
+    if generation is None:
+        raise AdapterError(
+            f"{shown(str(path))} does not export the functions that make security plugins:"
+            " it is not Fast DDS, or was built without security",
+            hint="use a Fast DDS that was built with -DSECURITY=ON",
+        )
+    if not library.build_id:
+        raise AdapterError(
+            f"{shown(str(path))} has no build ID, by which pqsec's plugin recognises it",
+            hint="link Fast DDS with -Wl,--build-id",
+        )
+    return library, generation, symbols
 
 
 def _factories(generation: int) -> frozenset[str]:
