@@ -421,7 +421,7 @@ def test_an_adapter_that_is_told_of_other_functions_has_them_in_their_order(stac
 MOVED = {
     "the topic of a writer": ("WriterProxyData.h", "string_255 m_topicName;"),
     "the topic of a reader": ("ReaderProxyData.h", "string_255 m_topicName;"),
-    "the partitions of both": ("WriterProxyData.h", "WriterQos m_qos;"),
+    "the partitions of a writer": ("WriterProxyData.h", "WriterQos m_qos;"),
 }
 """A header of Fast DDS 2, and the member before which another build of the library has one more."""
 
@@ -455,6 +455,7 @@ def test_a_library_without_the_functions_is_not_fast_dds(library, tmp_path):
         examine(other)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("what", MOVED)
 def test_an_adapter_that_does_not_find_what_was_announced_is_not_installed(
     of_another_build, tmp_path, what
@@ -466,6 +467,7 @@ def test_an_adapter_that_does_not_find_what_was_announced_is_not_installed(
     assert not (tmp_path / "plugin").exists()
 
 
+@pytest.mark.slow
 def test_an_adapter_that_does_not_find_what_was_announced_makes_no_participant(
     stage, copied, of_another_build, tmp_path_factory
 ):

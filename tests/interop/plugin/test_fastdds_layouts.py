@@ -15,7 +15,7 @@ from pqsec_pki.vendors import examine
 from pqsec_pki.vendors.fastdds_adapter import here, install, installed, sources
 from pqsec_pki.vendors.fastdds_library import AdapterError, FastDds
 
-pytestmark = pytest.mark.interop
+pytestmark = [pytest.mark.interop, pytest.mark.slow]
 
 FAST = ("fastdds", "fastrtps")
 ONE, EACH = "", "each"
@@ -101,7 +101,6 @@ def test_the_compiler_reads_the_headers_of_that_copy_alone(
     assert {each for each in read if not each.is_relative_to(tmp_path)} == set()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("layout", ["ROS 2's packages", "isolated workspace"])
 def test_it_is_installed_and_probed_there(copied, tmp_path, layout):
     stack = copied(LAYOUTS[layout])
