@@ -37,8 +37,8 @@ _MODE = 0o755
 class CompileError(PqsecError):
     """The shim cannot be compiled, or the compiled library does not work."""
 
-    output = ""
-    """What the tool wrote of errors, on one line."""
+    output: str | None = None
+    """What a command that failed wrote of errors, on one line; None if it was not run."""
 
     @classmethod
     def of(cls, stderr: str, *, hint: str | None = None) -> Self:

@@ -102,6 +102,8 @@ def probe(stack: FastDds, folder: Path, compilers: Compilers) -> None:
     try:
         compilers.run(run, folder)
     except CompileError as error:
+        if error.output is None:
+            raise
         raise AdapterError(
             f"pqsec's plugin does not find the topics of endpoints in {stack.title}, with the"
             f" headers in {stack.include[0]}: {shown(error.output, 500) or 'the probe crashed'}",
@@ -161,9 +163,7 @@ def _run(command: Sequence[str], folder: Path) -> None:
             check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        failed = CompileError(f"the compiler cannot be run: {error}")
-        failed.output = str(error)
-        raise failed from error
+        raise CompileError(f"{command[0]} cannot be run: {error}") from error
     if done.returncode != 0:
         raise CompileError.of(done.stderr)
 

@@ -398,6 +398,14 @@ def test_what_a_compiler_says_of_errors_reaches_the_user_as_one_line(
     assert len(said) < 1600
 
 
+def test_a_command_that_cannot_be_run_is_named(tmp_path):
+    """As the probe in a folder that is mounted with noexec."""
+    (tmp_path / "probe").touch()
+    with pytest.raises(CompileError, match=r"^\./probe cannot be run: .*[Pp]ermission") as refusal:
+        here().run(["./probe"], tmp_path)
+    assert refusal.value.output is None
+
+
 def test_a_compiler_that_writes_without_end_is_cut(tmp_path):
     with pytest.raises(CompileError) as refusal:
         here().run([sys.executable, "-c", f"raise SystemExit({'error: x' * 10**6!r})"], tmp_path)
