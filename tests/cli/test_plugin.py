@@ -136,6 +136,17 @@ def test_a_library_that_is_not_fast_dds_is_refused_with_the_reason(pqsec, librar
     assert not (tmp_path / "lib").exists()
 
 
+def test_headers_that_are_named_must_have_the_librarys_version(pqsec, requires, tmp_path):
+    found = next(Path("/usr/lib").glob("*-linux-gnu*/libfastrtps.so"), None)
+    requires(found, "Fast DDS 2", "apt-get install libfastrtps-dev")
+    (tmp_path / "two/fastrtps").mkdir(parents=True)
+    (tmp_path / "two/fastrtps/config.h").write_text('#define FASTRTPS_VERSION_STR "2.99.1"\n')
+    line = f"plugin install fastdds --library {found} --include one --include two --dir lib"
+    refused = pqsec(line).refused(3, "headers of Fast DDS, and only headers of 2.99.1 are there")
+    assert "that has fastrtps/config.h: --include DIR" in refused.err
+    assert not (tmp_path / "lib").exists()
+
+
 @pytest.mark.parametrize(
     ("compiler", "words"), [("nowhere-cc", "no C compiler"), ("false", "the compiler says")]
 )
