@@ -47,6 +47,9 @@ def plugin() -> None:
             "pqsec plugin install --force --systemd"
         ),
         "Install it for the Fast DDS of this machine": "pqsec plugin install fastdds",
+        "Install it for the Fast DDS of a colcon workspace": (
+            "pqsec plugin install fastdds --library install/fastdds/lib/libfastdds.so"
+        ),
         "Install it for the OpenDDS in a folder": "pqsec plugin install opendds --root DIR",
     },
     exit_codes={
@@ -71,8 +74,16 @@ def plugin() -> None:
     "--library",
     type=_settings.FILE,
     metavar="PATH",
-    help="With fastdds: compile for this library. Its headers must be in include/ in a"
-    " folder above it. [default: the installed libfastrtps or libfastdds]",
+    help="With fastdds: compile for this library. [default: the installed libfastrtps or"
+    " libfastdds]",
+)
+@click.option(
+    "--include",
+    type=_settings.FOLDER,
+    metavar="DIR",
+    multiple=True,
+    help="With fastdds: search this folder for headers of Fast DDS and Fast CDR. Repeatable."
+    " [default: the folders of headers near the library]",
 )
 @click.option(
     "--root",
@@ -91,6 +102,7 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     stack: str,
     folder: Path | None,
     library: Path | None,
+    include: tuple[Path, ...],
     root: Path | None,
     *,
     systemd: bool,
@@ -105,13 +117,15 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     folder = (folder or default_folder()).absolute()
     if library and stack != FASTDDS:
         raise UsageError("--library is for fastdds", hint="with opendds, name its folder: --root")
+    if include and stack != FASTDDS:
+        raise UsageError("--include is for fastdds", hint="with opendds, name its folder: --root")
     if root and stack != OPENDDS:
         raise UsageError("--root is for opendds", hint="with fastdds, name the library: --library")
     if stack != CYCLONEDDS:
         if systemd:
             raise UsageError(f"--systemd is not for {stack}", hint="all stacks use one agent")
         if stack == FASTDDS:
-            _install_fastdds(folder, library, force=force)
+            _install_fastdds(folder, library, include, force=force)
         else:
             _install_opendds(folder, root, force=force)
         return
@@ -126,12 +140,14 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(built.to_json(), lines)
 
 
-def _install_fastdds(folder: Path, library: Path | None, *, force: bool) -> None:
+def _install_fastdds(
+    folder: Path, library: Path | None, include: tuple[Path, ...], *, force: bool
+) -> None:
     from pqsec_pki.vendors import examine, find_fastdds  # noqa: PLC0415
     from pqsec_pki.vendors.fastdds_adapter import here  # noqa: PLC0415 -- for Fast DDS alone
     from pqsec_pki.vendors.fastdds_adapter import install as install_fastdds  # noqa: PLC0415
 
-    stack = examine(library.absolute() if library else find_fastdds())
+    stack = examine(library.absolute() if library else find_fastdds(), include=include)
     made = install_fastdds(stack, folder, here(), force=force)
     lines = [
         f"{stack.title}   {made.library}",

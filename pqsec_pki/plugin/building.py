@@ -3,11 +3,12 @@
 import os
 import sys
 from pathlib import Path
+from typing import Self
 
 from pqsec_pki import _files
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._places import make_folders, refuse_outsiders
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import PqsecError, shown
 from pqsec_pki.plugin.units import planned_units, write_units
 
 LIBRARY = "libpqsec_dds.so"
@@ -25,6 +26,9 @@ _FUNCTIONS = tuple(
     for plugin in ("authentication", "access_control")
     for verb in ("init", "finalize")
 )
+_FAULTS = ("error", "undefined reference", "cannot find", "no such file")
+"""In the lines of GCC, Clang and their linkers that say what is wrong, in English."""
+_MOST_LINES, _MOST_WORDS = 5, 1500
 _SECONDS = 120
 _MODE = 0o755
 """The mode of the folder: others may load the plugin from it."""
@@ -32,6 +36,19 @@ _MODE = 0o755
 
 class CompileError(PqsecError):
     """The shim cannot be compiled, or the compiled library does not work."""
+
+    output: str | None = None
+    """What a command that failed wrote of errors, on one line; None if it was not run."""
+
+    @classmethod
+    def of(cls, stderr: str, *, hint: str | None = None) -> Self:
+        """The error of a compiler or linker that failed."""
+        lines = [" ".join(line.split()) for line in stderr.splitlines()]
+        faults = [line for line in lines if any(word in line.lower() for word in _FAULTS)]
+        output = "; ".join((faults or [line for line in lines if line])[:_MOST_LINES])
+        error = cls(f"the compiler says: {shown(output, _MOST_WORDS) or 'nothing'}", hint=hint)
+        error.output = output
+        return error
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,13 +132,17 @@ def _compiled() -> bytes:
                 command(compiler(), output),
                 capture_output=True,
                 text=True,
+                errors="replace",
                 timeout=_SECONDS,
                 check=False,
             )
         except (OSError, subprocess.TimeoutExpired) as error:
             raise CompileError(f"the compiler cannot be run: {error}") from error
         if done.returncode != 0:
-            raise CompileError(f"the compiler says: {done.stderr.strip()[:2000]}")
+            raise CompileError.of(
+                done.stderr,
+                hint="install a C compiler and its headers: apt-get install gcc libc6-dev",
+            )
         _try_out(output)
         return _files.read(output)
 

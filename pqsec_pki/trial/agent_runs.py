@@ -123,7 +123,7 @@ def _run_there(fastdds: Installation, words: Sequence[str], folder: Path) -> Non
     place = f"/{folder.relative_to(fastdds.root)}"
     code, said = run_tool(words[0], fastdds.tool(tuple(words), place))
     if code:
-        raise CompileError(f"the compiler says: {said.strip()[:2000]}")
+        raise CompileError.of(said)
 
 
 def _digest(stack: FastDds | None, compilers: Compilers | None) -> str:

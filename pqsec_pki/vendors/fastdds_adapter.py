@@ -18,13 +18,20 @@ from pathlib import Path
 
 from pqsec_pki import _files
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import PqsecError, shown
 from pqsec_pki.plugin.building import SOURCES, CompileError, compiler, make_folder
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.vendors._symbols import read_symbols
 from pqsec_pki.vendors.elf import read_library
 from pqsec_pki.vendors.exports import Version
-from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, FastDds, table_of
+from pqsec_pki.vendors.fastdds_library import (
+    FAST_CDR_LIBRARY,
+    OTHER_VERSION,
+    PLUGINS,
+    AdapterError,
+    FastDds,
+    table_of,
+)
 from pqsec_pki.vendors.own_plugin import PRELOAD
 
 ADAPTER, RECORD = "pqsec-fastdds-{}.so", "pqsec-fastdds-{}.json"
@@ -33,6 +40,8 @@ FASTDDS_SOURCES = SOURCES.with_name("fastdds")
 
 _SHIM = ("wire.c", "frames.c", "link.c", "agent.c", "watch.c")
 _ADAPTER = "adapter.cpp"
+_PROBE = "probe_run"
+_ONE_BUILD = "name headers and library of one build: --include DIR, --library PATH"
 FLAGS = (
     *("-O2", "-fPIC", "-pthread", "-fvisibility=hidden", "-fstack-protector-strong"),
     *("-U_FORTIFY_SOURCE", "-D_FORTIFY_SOURCE=2"),
@@ -73,9 +82,33 @@ def compile_adapter(stack: FastDds, folder: Path, compilers: Compilers) -> None:
     """
     for source in sources():
         (folder / source.name).write_bytes(source.read_bytes())
-    for command in commands(stack, compilers):
-        compilers.run(command, folder)
+    try:
+        for command in commands(stack, compilers):
+            compilers.run(command, folder)
+    except CompileError as error:
+        error.hint = _ONE_BUILD
+        raise
     _refuse_unlike(stack, folder / ADAPTER.format(stack.library.build))
+
+
+def probe(stack: FastDds, folder: Path, compilers: Compilers) -> None:
+    """Let the library describe an endpoint to the adapter that was compiled into `folder`.
+
+    AdapterError if the adapter does not find in it what the library put there. Names of functions
+    do not show this, and neither do versions.
+    """
+    build, run = probe_commands(stack, compilers)
+    compilers.run(build, folder)
+    try:
+        compilers.run(run, folder)
+    except CompileError as error:
+        if error.output is None:
+            raise
+        raise AdapterError(
+            f"pqsec's plugin does not find the topics of endpoints in {stack.title}, with the"
+            f" headers in {stack.include[0]}: {shown(error.output, 500) or 'the probe crashed'}",
+            hint=f"{_ONE_BUILD}; or {OTHER_VERSION}",
+        ) from error
 
 
 def sources() -> list[Path]:
@@ -94,23 +127,45 @@ def commands(stack: FastDds, compilers: Compilers) -> Iterator[list[str]]:
         *(f"-DPQSEC_FASTDDS={stack.generation}", f'-DPQSEC_BUILD_ID="{build}"'),
         *(["-DPQSEC_BY_PROPERTIES=1"] if stack.by_properties else []),
         *(["-DPQSEC_MORE_FUNCTIONS=1"] if stack.more_functions else []),
-        *("-I.", f"-I{stack.seen(stack.include)}", "-o", ADAPTER.format(build), _ADAPTER),
-        *(name.replace(".c", ".o") for name in _SHIM),
-        *(stack.seen(stack.library.path), f"-L{stack.seen(stack.library.path.parent)}"),
-        "-lfastcdr",
+        *(["-DPQSEC_DERIVED=1"] if stack.derived else []),
+        *("-I.", *(f"-I{stack.seen(each)}" for each in stack.include)),
+        *("-o", ADAPTER.format(build), _ADAPTER, *(name.replace(".c", ".o") for name in _SHIM)),
+        *_libraries(stack),
     ]
     yield [compilers.c, "-std=c11", *FLAGS, *LINKED, "-o", PRELOAD, "preload.c", "-ldl"]
+
+
+def probe_commands(stack: FastDds, compilers: Compilers) -> tuple[list[str], list[str]]:
+    """What compiles the probe, where the adapter was compiled; and what runs it."""
+    adapter = f"./{ADAPTER.format(stack.library.build)}"
+    # DT_RPATH, which counts for the libraries of libraries too: nothing is in LD_LIBRARY_PATH.
+    paths = [f"-Wl,-rpath,{stack.seen(each)}" for each in stack.libraries]
+    words = [compilers.c, "-std=c11", "-o", _PROBE, f"{_PROBE}.c", adapter, *_libraries(stack)]
+    return [*words, "-Wl,--disable-new-dtags", *paths], [f"./{_PROBE}"]
+
+
+def _libraries(stack: FastDds) -> Iterator[str]:
+    """For the linker: the library, and exactly the Fast CDR that it loads."""
+    yield stack.seen(stack.library.path)
+    yield from (f"-L{stack.seen(each)}" for each in stack.libraries)
+    yield from (f"-l:{each}" for each in stack.library.needed if each.startswith(FAST_CDR_LIBRARY))
 
 
 def _run(command: Sequence[str], folder: Path) -> None:
     try:
         done = subprocess.run(  # noqa: S603 -- the user's own compiler
-            command, cwd=folder, capture_output=True, text=True, timeout=_SECONDS, check=False
+            command,
+            cwd=folder,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=_SECONDS,
+            check=False,
         )
     except (OSError, subprocess.TimeoutExpired) as error:
-        raise CompileError(f"the compiler cannot be run: {error}") from error
+        raise CompileError(f"{command[0]} cannot be run: {error}") from error
     if done.returncode != 0:
-        raise CompileError(f"the compiler says: {done.stderr.strip()[:2000]}")
+        raise CompileError.of(done.stderr)
 
 
 def _refuse_unlike(stack: FastDds, adapter: Path) -> None:
@@ -127,7 +182,7 @@ def _refuse_unlike(stack: FastDds, adapter: Path) -> None:
             raise AdapterError(
                 f"the functions of {stack.title}'s plugins are not those that pqsec knows"
                 f" ({theirs.lstrip('0123456789')}: {len(slots)}, pqsec's: {len(ours)})",
-                hint="use another version of Fast DDS, or report this one to pqsec's authors",
+                hint=OTHER_VERSION,
             )
 
 
@@ -152,7 +207,7 @@ def install(
     """Compile both into `folder`, with a record of the library.
 
     An adapter for an earlier build at the same path is removed. ExistsError if a working adapter
-    for this build is installed, unless `force`; other errors as of compile_adapter.
+    for this build is installed, unless `force`; other errors as of compile_adapter and probe.
     """
     adapter, record = (folder / name.format(stack.library.build) for name in (ADAPTER, RECORD))
     runs = [each.build for each in installed(folder) if not each.problem]
@@ -160,6 +215,7 @@ def install(
         _files.refuse_existing(adapter)
     with tempfile.TemporaryDirectory(prefix="pqsec-", dir=compilers.folder) as name:
         compile_adapter(stack, Path(name), compilers)
+        probe(stack, Path(name), compilers)
         made = {path: _files.read(Path(name, path)) for path in (PRELOAD, adapter.name)}
     value = {
         "library": str(stack.library.path),

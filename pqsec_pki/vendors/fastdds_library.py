@@ -5,21 +5,23 @@ instead only if Fast DDS exports the functions that do, and calls them by name. 
 symbols decide this, never its version.
 """
 
-import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, resolved
 from pqsec_pki.errors import PqsecError, UsageError, shown
 from pqsec_pki.vendors._symbols import Symbols, read_symbols
-from pqsec_pki.vendors.cyclone_plugins import agree, in_words
-from pqsec_pki.vendors.elf import Library, read_library, runs_here
+from pqsec_pki.vendors.cyclone_plugins import in_words
+from pqsec_pki.vendors.elf import Library, read_library, release_in, runs_here
 from pqsec_pki.vendors.exports import Version
+from pqsec_pki.vendors.fastdds_headers import FAST_CDR, FAST_DDS, Headers, Places, Project
 
 MACHINE = Path("/")
 NAMES = {2: "libfastrtps.so", 3: "libfastdds.so"}
 PACKAGES = {2: "libfastrtps-dev", 3: "libfastdds-dev"}
+FAST_CDR_LIBRARY = "libfastcdr.so"
+"""The library whose headers those of Fast DDS need."""
 PLUGINS = {"5PKIDH": "19PqsecAuthentication", "11Permissions": "18PqsecAccessControl"}
 """Fast DDS's own plugins and the adapter's, as C++ spells the names of classes."""
 
@@ -27,12 +29,17 @@ _SPACES = {2: "8eprosima8fastrtps4rtps", 3: "8eprosima7fastdds4rtps"}
 _FACTORIES = ("28create_authentication_plugin", "28create_access_control_plugin")
 _BY_PROPERTIES = "14PropertyPolicy"
 _MORE_FUNCTIONS = "20get_participant_guid"
+_ENDPOINTS = {
+    "15WriterProxyData": "27PublicationBuiltinTopicData",
+    "15ReaderProxyData": "28SubscriptionBuiltinTopicData",
+}
+"""What Fast DDS 3 knows of a discovered endpoint, and the public structure for it."""
 _PLACES = (
     *("usr/local/lib", "usr/local/lib64", "usr/lib", "usr/lib64", "usr/lib/*-linux-gnu*"),
     *("opt/ros/*/lib", "opt/ros/*/lib/*-linux-gnu*"),
 )
-_HEADERS = {2: ("fastrtps/config.h", "FASTRTPS"), 3: ("fastdds/config.hpp", "FASTDDS")}
 _WAY_OUT = "use a Fast DDS that is built as a shared library, without LTO and -Bsymbolic"
+OTHER_VERSION = "use another version of Fast DDS, or report this one to pqsec's authors"
 
 
 class AdapterError(PqsecError):
@@ -54,8 +61,12 @@ class FastDds:
     """Whether its plugins get the properties of a participant as a PropertyPolicy."""
     more_functions: bool
     """Whether its authentication plugin has two more functions (2.6.12, 3.2.5)."""
-    include: Path
-    """The folder of its headers."""
+    derived: bool
+    """Whether what it knows of an endpoint derives from a public structure (3.2)."""
+    include: tuple[Path, ...]
+    """The folders of its headers and of Fast CDR's, in the compiler's order."""
+    libraries: tuple[Path, ...]
+    """The folders of its library and of Fast CDR's."""
     tables: tuple[tuple[frozenset[str], ...], ...]
     """The virtual functions of its own plugins, in the order of PLUGINS."""
 
@@ -94,12 +105,37 @@ def _named(root: Path, name: str) -> Iterator[Path]:
         yield from (each for each in root.glob(f"{place}/{name}*") if each.is_file())
 
 
-def examine(path: Path, root: Path = MACHINE) -> FastDds:
-    """The Fast DDS at `path`, below `root`.
+def examine(path: Path, root: Path = MACHINE, include: Iterable[Path] = ()) -> FastDds:
+    """The Fast DDS at `path`, below `root`; folders in `include` are searched for headers first.
 
-    AdapterError with the reason if pqsec's plugin cannot run in it, or its headers are not there;
+    AdapterError with the reason if pqsec's plugin cannot run in it, or headers are not there;
     FileError and MalformedError if it cannot be read, or is not a library.
     """
+    library, generation, symbols = _recognised(path)
+    _refuse_bound(path, generation, symbols)
+    tables = tuple(symbols.tables.get(table_of(generation, name), ()) for name in PLUGINS)
+    derived = _derived(path, generation, symbols)
+    named = tuple(each.absolute() for each in include)
+    places = Places((path.absolute(), library.path), root, named)
+    headers = _headers(places, FAST_DDS[generation], library.release, PACKAGES[generation])
+    cdr, folder = _fast_cdr(places, library)
+    return FastDds(
+        library=library,
+        root=root,
+        generation=generation,
+        version=max(library.release, headers.version, key=len),
+        by_properties=any(_BY_PROPERTIES in name for slot in tables[0] for name in slot),
+        more_functions=any(_MORE_FUNCTIONS in name for slot in tables[0] for name in slot),
+        derived=derived,
+        include=tuple(dict.fromkeys((*named, *headers.folders, *cdr.folders))),
+        libraries=tuple(dict.fromkeys((library.path.parent, *folder))),
+        tables=tables,
+    )
+
+
+def _recognised(path: Path) -> tuple[Library, int, Symbols]:
+    """The library, the generation of its classes, and its symbols; AdapterError if it is not Fast
+    DDS for this machine, with security and a build ID."""
     library = read_library(path)
     if not runs_here(library):
         raise AdapterError(f"{shown(str(path))} is for another processor than this machine's")
@@ -117,19 +153,7 @@ def examine(path: Path, root: Path = MACHINE) -> FastDds:
             f"{shown(str(path))} has no build ID, by which pqsec's plugin recognises it",
             hint="link Fast DDS with -Wl,--build-id",
         )
-    _refuse_bound(path, generation, symbols)
-    tables = tuple(symbols.tables.get(table_of(generation, name), ()) for name in PLUGINS)
-    include, headers = _headers(library, generation, root)
-    return FastDds(
-        library=library,
-        root=root,
-        generation=generation,
-        version=max(library.release, headers, key=len),
-        by_properties=any(_BY_PROPERTIES in name for slot in tables[0] for name in slot),
-        more_functions=any(_MORE_FUNCTIONS in name for slot in tables[0] for name in slot),
-        include=include,
-        tables=tables,
-    )
+    return library, generation, symbols
 
 
 def _factories(generation: int) -> frozenset[str]:
@@ -158,23 +182,43 @@ def _refuse_bound(path: Path, generation: int, symbols: Symbols) -> None:
             )
 
 
-def _headers(library: Library, generation: int, root: Path) -> tuple[Path, Version]:
-    """The folder of the library's headers, and their version."""
-    header, macro = _HEADERS[generation]
-    version = re.compile(rf'#define {macro}_VERSION_STR "([0-9]{{1,4}}(?:\.[0-9]{{1,4}}){{0,3}})"')
-    found: Version = ()
-    for above in library.path.parents:
-        if not above.is_relative_to(root):
-            break
-        include = above / "include"
-        for path in (include / header, *sorted(include.glob(f"*-linux-gnu*/{header}"))):
-            text = path.read_text(errors="replace") if path.is_file() else ""
-            if match := version.search(text):
-                found = tuple(map(int, match[1].split(".")))
-                if agree(found, library.release):
-                    return include, found
-    words = f"only headers of {in_words(found)} are there" if found else "its headers are not there"
+def _derived(path: Path, generation: int, symbols: Symbols) -> bool:
+    """Whether Fast DDS 3 gives a discovered endpoint as what derives from its public structure;
+    before 3.2 it exports a function that converts. AdapterError if it does neither."""
+    space = f"_ZN{_SPACES[generation]}"
+    converting = {
+        f"{space}21from_proxy_to_builtinERKNS1_{own}ERNS1_{public}E"
+        for own, public in _ENDPOINTS.items()
+    }
+    reading = {f"{space}{own}21read_from_cdr_messageE" for own in _ENDPOINTS}
+    if generation == 2 or converting <= symbols.exported:  # noqa: PLR2004 -- its headers have them
+        return False
+    if all(any(name.startswith(each) for name in symbols.exported) for each in reading):
+        return True
     raise AdapterError(
-        f"the adapter for {shown(str(library.path))} is compiled with its headers, and {words}",
-        hint=f"install them: apt-get install {PACKAGES[generation]}, or those of ROS 2",
+        f"{shown(str(path))} describes discovered endpoints in a way that pqsec does not know",
+        hint=OTHER_VERSION,
+    )
+
+
+def _fast_cdr(places: Places, library: Library) -> tuple[Headers, list[Path]]:
+    """The headers of the Fast CDR that the library loads, and the folder of that Fast CDR."""
+    name = next((each for each in library.needed if each.startswith(FAST_CDR_LIBRARY)), "")
+    headers = _headers(places, FAST_CDR, release_in(name), "libfastcdr-dev")
+    folder = places.folder_of(name, FAST_CDR, headers) if name else None
+    return headers, [folder] if folder else []
+
+
+def _headers(places: Places, project: Project, release: Version, package: str) -> Headers:
+    """The headers of that project; AdapterError if they are not there."""
+    found = places.headers(project, release)
+    if found.folders:
+        return found
+    other = f"only headers of {in_words(found.version)} are there"
+    words = other if found.version else "they are not there"
+    raise AdapterError(
+        f"the adapter for {shown(str(places.links[-1]))} is compiled with the headers of"
+        f" {project.title}, and {words}",
+        hint=f"install them: apt-get install {package}, or those of ROS 2; or name the folder that"
+        f" has {project.header}: --include DIR",
     )

@@ -108,6 +108,8 @@ def test_a_file_of_the_users_own_is_not_uninstalled(pqsec, tmp_path, monkeypatch
     [
         ("plugin install --library x", "--library is for fastdds"),
         ("plugin install opendds --library x", "--library is for fastdds"),
+        ("plugin install --include x", "--include is for fastdds"),
+        ("plugin install opendds --include x", "--include is for fastdds"),
         ("plugin install --root x", "--root is for opendds"),
         ("plugin install fastdds --systemd", "--systemd is not for fastdds"),
         ("plugin install opendds --systemd", "--systemd is not for opendds"),
@@ -131,6 +133,17 @@ def test_a_library_that_is_not_fast_dds_is_refused_with_the_reason(pqsec, librar
     (tmp_path / "x.so").write_bytes(library("libx.so.1", build="00"))
     line = f"plugin install fastdds --library {tmp_path / 'x.so'} --dir {tmp_path / 'lib'}"
     pqsec(line).refused(3, "does not export the functions", hint="-DSECURITY=ON")
+    assert not (tmp_path / "lib").exists()
+
+
+def test_headers_that_are_named_must_have_the_librarys_version(pqsec, requires, tmp_path):
+    found = next(Path("/usr/lib").glob("*-linux-gnu*/libfastrtps.so"), None)
+    requires(found, "Fast DDS 2", "apt-get install libfastrtps-dev")
+    (tmp_path / "two/fastrtps").mkdir(parents=True)
+    (tmp_path / "two/fastrtps/config.h").write_text('#define FASTRTPS_VERSION_STR "2.99.1"\n')
+    line = f"plugin install fastdds --library {found} --include one --include two --dir lib"
+    refused = pqsec(line).refused(3, "headers of Fast DDS, and only headers of 2.99.1 are there")
+    assert "that has fastrtps/config.h: --include DIR" in refused.err
     assert not (tmp_path / "lib").exists()
 
 

@@ -15,13 +15,13 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.errors import FileError, MalformedError, UsageError
-from pqsec_pki.plugin.building import SOURCES
+from pqsec_pki.errors import FileError, MalformedError, UsageError, shown
+from pqsec_pki.plugin.building import SOURCES, CompileError
 from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.stacks import stack_named
 from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors._symbols import read_symbols
-from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, installed
+from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, here, installed
 from pqsec_pki.vendors.fastdds_library import AdapterError, examine, find_fastdds, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from pqsec_pki.vendors.ros2 import preflight
@@ -48,14 +48,16 @@ const void *const authentication[] __asm__("{PKIDH}") = {{0, 0, destroy, destroy
 const void *const access_control[] __asm__("{PERMISSIONS}") = {{0, 0, destroy, destroy, slot}};
 """
 HEADER = '#define FASTRTPS_VERSION_STR "2.9.1"\n'
+CDR_HEADER = '#define FASTCDR_VERSION_STR "1.0.26"\n'
 
 
 @pytest.fixture
 def compiled(requires, tmp_path) -> Callable[..., Path]:
     """compiled(source, flag...) is a library, with headers of 2.9.1 beside it."""
     compiler = requires(shutil.which("gcc"), "a C compiler", "apt-get install gcc libc6-dev")
-    (tmp_path / "include/fastrtps").mkdir(parents=True)
-    (tmp_path / "include/fastrtps/config.h").write_text(HEADER)
+    for name, text in (("fastrtps", HEADER), ("fastcdr", CDR_HEADER)):
+        (tmp_path / "include" / name).mkdir(parents=True)
+        (tmp_path / "include" / name / "config.h").write_text(text)
     (tmp_path / "lib").mkdir()
 
     def make(source: str, *flags: str, name: str = "libfastrtps.so.2.9.1") -> Path:
@@ -72,9 +74,54 @@ def compiled(requires, tmp_path) -> Callable[..., Path]:
 def test_a_library_that_calls_its_factories_by_name_can_run_the_plugin(compiled, tmp_path):
     found = examine(compiled(CALLED + TABLES))
     assert (found.title, found.generation) == ("Fast DDS 2.9.1", 2)
-    assert found.include == tmp_path / "include"
+    assert found.include == (tmp_path / "include",)
     assert not found.by_properties
+    assert not found.derived
     assert [sorted(names) for names in found.tables[0]][2:] == [[f"{SPACE}5PKIDH5validEv"]]
+
+
+ENDPOINTS = {
+    "15WriterProxyData": "27PublicationBuiltinTopicData",
+    "15ReaderProxyData": "28SubscriptionBuiltinTopicData",
+}
+CONVERTS = [
+    f"_ZN8eprosima7fastdds4rtps21from_proxy_to_builtinERKNS1_{own}ERNS1_{public}E"
+    for own, public in ENDPOINTS.items()
+]
+READS = [
+    f"_ZN8eprosima7fastdds4rtps{own}21read_from_cdr_messageEPNS1_12CDRMessage_tESt5arrayIhLm2EE"
+    for own in ENDPOINTS
+]
+
+
+def of_3(*functions: str) -> str:
+    """The library's source with the names of Fast DDS 3, and these functions."""
+    names = "".join(
+        f'void each{at}(void) __asm__("{name}"); void each{at}(void) {{}}\n'
+        for at, name in enumerate(functions)
+    )
+    return (CALLED + TABLES).replace("8fastrtps", "7fastdds") + names
+
+
+@pytest.mark.parametrize(
+    ("functions", "derived"), [(CONVERTS, False), (READS, True), ([*CONVERTS, *READS], False)]
+)
+def test_what_is_known_of_an_endpoint_follows_from_what_the_library_exports(
+    compiled, tmp_path, functions, derived
+):
+    """Not from its version, which is another here."""
+    (tmp_path / "include/fastdds").mkdir()
+    header = tmp_path / "include/fastdds/config.hpp"
+    header.write_text('#define FASTDDS_VERSION_STR "3.9.0"\n')
+    found = examine(compiled(of_3(*functions), name="libfastdds.so.3.9.0"))
+    assert (found.generation, found.derived) == (3, derived)
+
+
+@pytest.mark.parametrize("functions", [[], CONVERTS[:1], READS[1:], [CONVERTS[0], READS[1]]])
+def test_a_library_that_describes_endpoints_in_another_way_is_refused(compiled, functions):
+    with pytest.raises(AdapterError, match="in a way that pqsec does not know") as refusal:
+        examine(compiled(of_3(*functions), name="libfastdds.so.3.9.0"))
+    assert "report this one" in refusal.value.hint
 
 
 REFUSED = {
@@ -111,8 +158,11 @@ def test_headers_of_another_version_are_refused(compiled, tmp_path):
         examine(path)
     assert "libfastrtps-dev" in refusal.value.hint
     header.unlink()
-    with pytest.raises(AdapterError, match="its headers are not there"):
+    with pytest.raises(
+        AdapterError, match="headers of Fast DDS, and they are not there"
+    ) as refusal:
         examine(path)
+    assert "that has fastrtps/config.h: --include DIR" in refusal.value.hint
 
 
 def test_of_several_libraries_one_must_be_named(compiled, tmp_path):
@@ -318,6 +368,48 @@ def test_the_check_of_a_shell_knows_what_is_preloaded(keystore, folder, rmw):
     assert any("PQS6" in what for what in found) is (rmw == "rmw_cyclonedds_cpp")
     if rmw == "rmw_cyclonedds_cpp":
         assert "--rmw fastrtps" in found["RMW_IMPLEMENTATION"].fix
+
+
+BROKEN = """
+#include "of_another_build.h"
+"""
+UNDEFINED = "void nowhere(void); void nobody(void); int main(void) { nowhere(); nobody(); }"
+
+
+@pytest.mark.parametrize(
+    ("source", "words"),
+    [
+        (BROKEN, ["fatal error", "of_another_build.h"]),
+        (UNDEFINED, ["undefined reference", "nowhere", "nobody"]),
+        ("int main(void) { return wrong }", ["'wrong' undeclared", "expected ';'"]),
+    ],
+)
+def test_what_a_compiler_says_of_errors_reaches_the_user_as_one_line(
+    requires, tmp_path, monkeypatch, source, words
+):
+    requires(shutil.which("c++"), "a C++ compiler", "apt-get install g++")
+    monkeypatch.setenv("LC_ALL", "C")
+    (tmp_path / "source.c").write_text(source)
+    with pytest.raises(CompileError, match=r"^the compiler says: ") as refusal:
+        here().run([here().c, "source.c"], tmp_path)
+    said = str(refusal.value)
+    assert shown(said, len(said)) == said, "no line breaks, and nothing else that is not printable"
+    assert [each for each in words if each not in said] == []
+    assert len(said) < 1600
+
+
+def test_a_command_that_cannot_be_run_is_named(tmp_path):
+    """As the probe in a folder that is mounted with noexec."""
+    (tmp_path / "probe").touch()
+    with pytest.raises(CompileError, match=r"^\./probe cannot be run: .*[Pp]ermission") as refusal:
+        here().run(["./probe"], tmp_path)
+    assert refusal.value.output is None
+
+
+def test_a_compiler_that_writes_without_end_is_cut(tmp_path):
+    with pytest.raises(CompileError) as refusal:
+        here().run([sys.executable, "-c", f"raise SystemExit({'error: x' * 10**6!r})"], tmp_path)
+    assert len(str(refusal.value)) < 1600
 
 
 def test_the_sources_are_beside_those_of_the_shim():

@@ -3,4 +3,5 @@
 #include "access_control.cpp"
 #include "agent.cpp"
 #include "authentication.cpp"
+#include "probe.cpp"
 #include "sessions.cpp"

@@ -2,11 +2,13 @@
 //
 // The order of virtual functions and their arguments are what the library's own tables of virtual
 // functions name; `pqsec plugin install` compares the compiled adapter with them. Members are those
-// that DDS-Security 1.1 gives these structures. Public headers are used where there are any.
+// that DDS-Security 1.1 gives these structures. Public headers are used where there are any. Objects
+// of the library may be larger than their declarations here: the adapter never copies one.
 
 #ifndef PQSEC_INTERFACE3_HPP
 #define PQSEC_INTERFACE3_HPP
 
+#include <cstddef>
 #include <cstdint>
 #include <exception>
 #include <memory>
@@ -17,24 +19,53 @@
 #include <fastdds/rtps/attributes/EndpointSecurityAttributes.hpp>
 #include <fastdds/rtps/attributes/PropertyPolicy.hpp>
 #include <fastdds/rtps/attributes/RTPSParticipantAttributes.hpp>
+#include <fastdds/rtps/builtin/data/ContentFilterProperty.hpp>
 #include <fastdds/rtps/builtin/data/PublicationBuiltinTopicData.hpp>
 #include <fastdds/rtps/builtin/data/SubscriptionBuiltinTopicData.hpp>
 #include <fastdds/rtps/common/CDRMessage_t.hpp>
 #include <fastdds/rtps/common/Guid.hpp>
 #include <fastdds/rtps/common/Token.hpp>
+#include <fastdds/rtps/common/VendorId_t.hpp>
 
 #undef minor  // a macro of sys/sysmacros.h
 
 namespace eprosima::fastdds::rtps {
 
+class NetworkFactory;
 class ParticipantProxyData;
-class ReaderProxyData;
 class ResourceEvent;
-class WriterProxyData;
 
+// What the library knows of an endpoint. It has one pointer, to its virtual functions, before the
+// structure that it derives from.
+#if PQSEC_DERIVED
+#define PQSEC_DERIVES_FROM(structure) : public structure
+#define PQSEC_READER bool read_from_cdr_message(CDRMessage_t*, VendorId_t)
+#else
+#define PQSEC_DERIVES_FROM(structure)
+#define PQSEC_READER \
+  bool readFromCDRMessage(CDRMessage_t*, NetworkFactory&, bool, VendorId_t = c_VendorId_eProsima)
+#endif
+
+class WriterProxyData PQSEC_DERIVES_FROM(PublicationBuiltinTopicData) {
+ public:
+  WriterProxyData(size_t unicast_locators, size_t multicast_locators);
+  virtual ~WriterProxyData();
+  PQSEC_READER;
+};
+
+class ReaderProxyData PQSEC_DERIVES_FROM(SubscriptionBuiltinTopicData) {
+ public:
+  ReaderProxyData(size_t unicast_locators, size_t multicast_locators,
+                  const ContentFilterProperty::AllocationConfiguration& = {});
+  virtual ~ReaderProxyData();
+  PQSEC_READER;
+};
+
+#if !PQSEC_DERIVED
 // Exported by the library: what it has read of an endpoint, as a public structure.
 void from_proxy_to_builtin(const WriterProxyData&, PublicationBuiltinTopicData&);
 void from_proxy_to_builtin(const ReaderProxyData&, SubscriptionBuiltinTopicData&);
+#endif
 
 class Exception : public std::exception {
  public:

@@ -50,6 +50,7 @@ enum { MAX_ID = 32, MAX_PATH = 4096, MAX_ADAPTERS = 8 };
 
 typedef void *(*factory)(void *self, const void *policy);
 typedef void *(*maker)(const void *policy, factory original, void *self);
+typedef bool (*prober)(void);
 typedef size_t (*sizer)(const void *tokens, size_t alignment);
 typedef void (*connector)(void *self, const void *peer, bool secure);
 typedef void *(*keeper)(void *self, const void *peer, const void *writer);
@@ -222,8 +223,11 @@ static void *make(const struct plugin *plugin, const char *symbol, void *self, c
     return refuse(plugin, "pqsec's plugin is for another build than", caller.name);
   factory original = (factory)original_of(&caller, symbol);
   maker make_ours = (maker)dlsym(adapter, plugin->maker);
-  if (original == NULL || make_ours == NULL)
+  prober probe = (prober)dlsym(adapter, "pqsec_probe");
+  if (original == NULL || make_ours == NULL || probe == NULL)
     return refuse(plugin, "pqsec's plugin is incomplete for", caller.name);
+  if (!probe())
+    return refuse(plugin, "pqsec's plugin does not find the topics of endpoints in", caller.name);
   return make_ours(policy, original, self);
 }
 

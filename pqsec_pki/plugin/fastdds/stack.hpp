@@ -2,7 +2,8 @@
 //
 // PQSEC_FASTDDS is 2 or 3. PQSEC_BY_PROPERTIES is 1 where participants are described by a
 // PropertyPolicy alone, PQSEC_MORE_FUNCTIONS where Authentication has two more functions, since the
-// fix of CVE-2025-67108. All come from the library's symbols.
+// fix of CVE-2025-67108, PQSEC_DERIVED where what is known of an endpoint derives from a public
+// structure (3.2). All come from the library's symbols.
 
 #ifndef PQSEC_STACK_HPP
 #define PQSEC_STACK_HPP
@@ -40,7 +41,8 @@ inline const PropertyPolicy& policy_of(const RTPSParticipantAttributes& from) {
 
 using Strings = std::vector<std::string>;
 
-// What access control asks of an endpoint that was discovered.
+// What access control asks of an endpoint that was discovered. probe.cpp proves that this is read where
+// the library writes it.
 struct Discovered {
 #if PQSEC_FASTDDS == 2
   explicit Discovered(const WriterProxyData& from)
@@ -48,21 +50,35 @@ struct Discovered {
   explicit Discovered(const ReaderProxyData& from)
       : topic(from.topicName().to_string()), partitions(from.m_qos.m_partition.getNames()) {}
 #else
-  explicit Discovered(const WriterProxyData& from) {
-    PublicationBuiltinTopicData data;
-    from_proxy_to_builtin(from, data);
-    topic = data.topic_name.to_string();
-    partitions = data.partition.getNames();
-  }
-  explicit Discovered(const ReaderProxyData& from) {
-    SubscriptionBuiltinTopicData data;
-    from_proxy_to_builtin(from, data);
-    topic = data.topic_name.to_string();
-    partitions = data.partition.getNames();
-  }
+  explicit Discovered(const WriterProxyData& from)
+      : Discovered(described<PublicationBuiltinTopicData>(from)) {}
+  explicit Discovered(const ReaderProxyData& from)
+      : Discovered(described<SubscriptionBuiltinTopicData>(from)) {}
 #endif
   std::string topic;
   Strings partitions;
+
+#if PQSEC_FASTDDS != 2
+ private:
+  explicit Discovered(const PublicationBuiltinTopicData& from)
+      : topic(from.topic_name.to_string()), partitions(from.partition.getNames()) {}
+  explicit Discovered(const SubscriptionBuiltinTopicData& from)
+      : topic(from.topic_name.to_string()), partitions(from.partition.getNames()) {}
+
+#if PQSEC_DERIVED
+  template <typename Public, typename Private>
+  static const Public& described(const Private& from) {
+    return from;
+  }
+#else
+  template <typename Public, typename Private>
+  static Public described(const Private& from) {
+    Public data;
+    from_proxy_to_builtin(from, data);
+    return data;
+  }
+#endif
+#endif
 };
 
 }  // namespace PQSEC_RTPS::security

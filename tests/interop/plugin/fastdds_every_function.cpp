@@ -27,6 +27,7 @@ extern "C" void* pqsec_authentication(const PropertyPolicy*, Factory, void*) noe
 extern "C" void* pqsec_access_control(const PropertyPolicy*, Factory, void*) noexcept;
 extern "C" void pqsec_discovery(const void*) noexcept;
 extern "C" void pqsec_lost(const void*, void (*)(void*, const uint8_t*), void*) noexcept;
+extern "C" bool pqsec_probe() noexcept;
 extern "C" const char pqsec_build_id[];
 
 namespace {
@@ -225,6 +226,7 @@ void everything(char** words) {
   must("no security", pqsec_authentication(&open_to_all, none, nullptr) == nullptr);
   must("no security", pqsec_access_control(&open_to_all, none, nullptr) == nullptr);
   must("build ID", strlen(pqsec_build_id) > 0);
+  must("probe", pqsec_probe());
   Participant one(words[1], 1), other(words[2], 2);
   one.join();
   other.join();

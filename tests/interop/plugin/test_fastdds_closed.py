@@ -11,6 +11,7 @@ import stat
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -35,10 +36,13 @@ from pqsec_pki.vendors.fastdds_adapter import (
     RECORD,
     Compilers,
     commands,
+    compile_adapter,
+    here,
+    install,
     installed,
     sources,
 )
-from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, examine, table_of
+from pqsec_pki.vendors.fastdds_library import PLUGINS, AdapterError, FastDds, examine, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from tests.interop.conftest import TOPIC
 from tests.interop.kept import kept
@@ -379,14 +383,15 @@ return_permissions_handle validate_remote_permissions check_create_participant
 check_remote_participant check_create_datawriter check_create_datareader check_remote_datawriter
 check_remote_datareader get_participant_sec_attributes get_datawriter_sec_attributes
 get_datareader_sec_attributes"""
-"""In the order in which Fast DDS 3.4.3 and 3.6.2 declare them; 3.2.5 has MORE."""
+"""In the order in which later versions declare them; some have MORE."""
 MORE = " get_participant_guid set_event_resource"
 
 
-@pytest.mark.parametrize("more", ["", MORE], ids=["3.6.2", "3.2.5"])
-def test_the_adapter_for_later_versions_has_their_functions(stack_in, more):
-    """They tell their plugins of a participant by a PropertyPolicy. They are not in a
-    distribution, so it is compiled with the public headers of 3.1.2, and not run."""
+@pytest.mark.parametrize("more", ["", MORE], ids=["no more", "two more"])
+def test_an_adapter_that_is_told_of_other_functions_has_them_in_their_order(stack_in, more):
+    """With the public headers of 3.1.2, and not run: test_fastdds_versions.py runs such versions.
+
+    They tell their plugins of a participant by a PropertyPolicy."""
     installation = stack_in("fastdds", "trixie")
     stack = replace(
         examine(installation.library.path, installation.root),
@@ -413,8 +418,63 @@ def test_the_adapter_for_later_versions_has_their_functions(stack_in, more):
         assert any("PropertyPolicy" in each for each in slots[0])
 
 
+MOVED = {
+    "the topic of a writer": ("WriterProxyData.h", "string_255 m_topicName;"),
+    "the topic of a reader": ("ReaderProxyData.h", "string_255 m_topicName;"),
+    "the partitions of a writer": ("WriterProxyData.h", "WriterQos m_qos;"),
+}
+"""A header of Fast DDS 2, and the member before which another build of the library has one more."""
+
+
+@pytest.fixture(scope="module")
+def of_another_build(fastdds_here, tmp_path_factory) -> Callable[[str], FastDds]:
+    """of_another_build(what) is this machine's library with headers in which that has moved."""
+
+    @cache
+    def made(what: str) -> FastDds:
+        include = tmp_path_factory.mktemp("include")
+        for folder in ("/usr/include", *Path("/usr/include").glob("*-linux-gnu*")):
+            for name in ("fastrtps", "fastdds"):
+                if (Path(folder) / name).is_dir():
+                    shutil.copytree(Path(folder) / name, include / name, dirs_exist_ok=True)
+        header, member = MOVED[what]
+        path = include / "fastdds/rtps/builtin/data" / header
+        text = path.read_text()
+        assert text.count(member) == 1
+        at = text.rindex("\n", 0, text.index(member))
+        path.write_text(f"{text[:at]}\n    char moved_[64];{text[at:]}")
+        return examine(fastdds_here.library.path, include=[include])
+
+    return made
+
+
 def test_a_library_without_the_functions_is_not_fast_dds(library, tmp_path):
     other = tmp_path / "libfastrtps.so.2.9.1"
     other.write_bytes(library("libfastrtps.so.2.9", build="00ff"))
     with pytest.raises(AdapterError, match="does not export the functions"):
         examine(other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("what", MOVED)
+def test_an_adapter_that_does_not_find_what_was_announced_is_not_installed(
+    of_another_build, tmp_path, what
+):
+    """It compiles, and its functions are those of the library."""
+    with pytest.raises(AdapterError, match="does not find the topics of endpoints in") as refusal:
+        install(of_another_build(what), tmp_path / "plugin", here())
+    assert "--include DIR, --library PATH" in refusal.value.hint
+    assert not (tmp_path / "plugin").exists()
+
+
+@pytest.mark.slow
+def test_an_adapter_that_does_not_find_what_was_announced_makes_no_participant(
+    stage, copied, of_another_build, tmp_path_factory
+):
+    """Put there by hand, without the probe of an installation."""
+    folder = tmp_path_factory.mktemp("compiled")
+    compile_adapter(of_another_build("the topic of a writer"), folder, here())
+    adapter = ADAPTER.format(stage.installation.library.build_id)
+    shutil.copy(folder / adapter, copied)
+    outcome = stage.run(LD_PRELOAD=str(copied / PRELOAD))
+    assert refused(outcome, "does not find the topics of endpoints in", "plugin install fastdds")
