@@ -79,6 +79,7 @@ def test_help_shows_each_mode_with_an_example(pqsec):
 # --all
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", NAMES)
 def test_all_pairs_of_a_keystore_meet(pqsec, keystore, profile):
     keystore(profile)
@@ -277,6 +278,7 @@ def test_another_key_agreement_can_be_tried_by_all(pqsec, keystore):
     pqsec(f"{ALL} --kem no").refused(2, "no key agreement named 'no'")
 
 
+@pytest.mark.slow
 def test_a_matrix_is_for_twenty(pqsec, keystore):
     keystore()
     pqsec("-k k issue --publish x", *(f"/n{number}" for number in range(18))).done()
@@ -286,7 +288,6 @@ def test_a_matrix_is_for_twenty(pqsec, keystore):
     assert LAST.fullmatch(last).groups() == ("21", "210", "210", "0", "0", "209")
 
 
-@pytest.mark.slow
 def test_processes_change_nothing_in_the_result(pqsec, keystore):
     keystore()
     pqsec("-k k issue --publish x", *(f"/n{number}" for number in range(12))).done()
@@ -461,6 +462,7 @@ def matrix(run_in, tmp_path_factory):
     return run
 
 
+@pytest.mark.slow
 def test_the_matrix_has_a_line_for_each_suite(matrix):
     heads, *lines = matrix().out.split("\n\n")[0].splitlines()
     assert heads.split() == [
@@ -476,12 +478,14 @@ def test_the_matrix_has_a_line_for_each_suite(matrix):
     assert len({line.index("%") for line in lines}) == 1  # columns stand in line
 
 
+@pytest.mark.slow
 def test_the_matrix_says_what_promises_are_broken(matrix):
     notes = matrix().out.split("\n\n")[1]
     assert notes.count("\n!: breaks a promise of ") == len(NAMES)
     assert "breaks a promise of cnsa2: CNSA 2.0: ML-DSA-87 and ML-KEM-1024 only" in notes
 
 
+@pytest.mark.slow
 def test_the_matrix_is_told_as_json(matrix):
     told = matrix("--json").json
     assert (told["fragment_bytes"], told["rounds"]) == (1344, 1)

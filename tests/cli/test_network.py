@@ -23,8 +23,6 @@ from tests.some_keys import some_key
 from tests.unit.est_server import serving
 from tests.unit.tls_sides import certificate, identity, pin
 
-pytestmark = pytest.mark.slow
-
 SYSTEMD = shutil.which("systemd-analyze")
 ROBOT = "/fleet/robot1"
 DAY = timedelta(days=1)
@@ -195,6 +193,7 @@ MEANINGLESS = {
 }
 
 
+@pytest.mark.slow(but=5)
 @pytest.mark.parametrize("line", MEANINGLESS)
 def test_what_makes_no_sense_is_a_wrong_command_line(pqsec, token, line):
     pqsec(line).refused(2, MEANINGLESS[line])

@@ -123,6 +123,7 @@ def witness(request, labs, folder):
     return witness
 
 
+@pytest.mark.slow(but=1)
 def test_a_stack_answers_as_its_reading(witness):
     tally = Tally(witness.interpretation)
     for seed in range(POLICIES):
@@ -136,6 +137,7 @@ def test_a_stack_answers_as_its_reading(witness):
     assert min(tally.answers[True], tally.answers[False]) > 30 * POLICIES, tally.answers
 
 
+@pytest.mark.slow
 def test_a_stack_finds_the_grants_of_a_subject_as_its_reading(witness, folder, now):
     tally, governance = Tally(witness.interpretation), Governance.protected(DomainSet.of(0))
     for parts in SUBJECTS:

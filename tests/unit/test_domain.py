@@ -215,6 +215,7 @@ def test_validity_counts_from_the_next_certificate_on(scene):
 # Time
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("days", "why"), [(59, None), (60, "ends"), (89, "ends"), (90, "ends"), (91, "expired")]
 )
@@ -278,6 +279,7 @@ def swap(path):
     shutil.copyfile(str(path).replace("/r1/", "/r2/"), path)
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize(
     ("file", "what", "step"),
     [

@@ -357,6 +357,7 @@ def test_what_an_older_ledger_has_can_be_renewed_and_revoked(keystore):
     audit(keystore)
 
 
+@pytest.mark.slow
 def test_several_who_find_an_older_ledger_bring_it_up_to_date_once(keystore):
     rows = older(keystore)
     work = lambda: Keystore.open(keystore.root).ledger()  # noqa: E731
@@ -529,6 +530,7 @@ def test_what_another_program_was_stopped_at_is_not_read(keystore, tmp_path):
         add(copy, later="0")
 
 
+@pytest.mark.slow
 def test_it_stays_fast_as_it_grows(keystore):
     enter(keystore, (entry(number) for number in range(20_000)))
     standing = status(keystore, now=NOW + timedelta(days=1))

@@ -24,7 +24,7 @@ from tests.unit.killing import NOW, drafts, empty_list, fails_with, issue_to, su
 from tests.unit.linting import check_nothing_broken
 from tests.unit.sros2_keystore import SROS2
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("links_count_too")]
+pytestmark = pytest.mark.usefixtures("links_count_too")
 
 BOTH = ("/fleet/robot1", "/talker")
 SECRET = b"secret"
@@ -96,6 +96,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, scene):
     original = place / "original"
@@ -127,6 +128,7 @@ def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, s
     assert set(outcomes) == {False, True}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, code):
     original = prepared(BOTH)
@@ -150,6 +152,7 @@ def keys_in(root):
     return {hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
 
 
+@pytest.mark.slow
 def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
     original = prepared(BOTH)
     old = keys_in(original)
@@ -174,6 +177,7 @@ def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
     assert committed > 1
 
 
+@pytest.mark.slow
 def test_the_passphrase_is_old_or_new_whenever_the_kill_comes(place, prepared):
     original = place / "original"
     shutil.copytree(prepared(()), original, symlinks=True)
@@ -198,6 +202,7 @@ def test_the_passphrase_is_old_or_new_whenever_the_kill_comes(place, prepared):
     assert set(outcomes) == {False, True}
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("with_list", [False, True])
 def test_an_adoption_is_done_or_not_whenever_the_kill_comes(place, with_list):
     original = place / "original"
@@ -246,6 +251,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, line):
     for root in killing.killed_processes(place, prepared(BOTH), line, within=0.03):
@@ -259,6 +265,7 @@ def rotate_by_command(root):
     subprocess.run([sys.executable, "-m", "pqsec_pki", *words], check=True, capture_output=True)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("command", [False, True])
 def test_two_rollovers_at_once_are_one_after_the_other(place, prepared, command):
     root = place / "keystore"

@@ -346,6 +346,7 @@ def test_the_process_that_faces_the_network_gets_no_password(tmp_path, monkeypat
     assert not any(b"secret of the database" in each for each in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", [0.01, 0.05, 0.1, 0.2])
 def test_after_a_kill_the_same_request_has_one_answer(tmp_path, moment):
     made = Server(tmp_path, datetime.now(UTC))
@@ -381,6 +382,7 @@ def test_readiness_is_told_at_the_socket_that_is_named(tmp_path, name):
         assert notices.recv(100) == b"READY=1"
 
 
+@pytest.mark.slow
 def test_two_services_share_a_socket_that_systemd_made(tmp_path):
     made = Server(tmp_path, datetime.now(UTC))
     command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(made.config), "--part"]

@@ -25,8 +25,6 @@ from tests.running import clean_environment, run_here
 from tests.unit.killing import disturbed_calls, survives
 from tests.unit.serving import Server
 
-pytestmark = pytest.mark.slow
-
 ROBOT, OTHER = "/fleet/r1", "/fleet/r2"
 
 
@@ -83,6 +81,7 @@ def test_a_robot_lives_with_its_server(server, place):
     audit(server.keystore)
 
 
+@pytest.mark.slow
 def test_a_refusal_that_may_end_costs_no_request(server, place):
     """Only one that is never answered is made anew: else keys that wait would be lost."""
     robot = place / "robot"
@@ -98,6 +97,7 @@ def test_a_refusal_that_may_end_costs_no_request(server, place):
     assert sent[0] == sent[1]
 
 
+@pytest.mark.slow
 def test_a_robot_sends_its_receipt_as_a_participant_that_is_not_revoked(server, place):
     robot = place / "robot"
     for name in (ROBOT, OTHER):
@@ -112,6 +112,7 @@ def test_a_robot_sends_its_receipt_as_a_participant_that_is_not_revoked(server, 
     assert states[OTHER].state is InstallState.CURRENT
 
 
+@pytest.mark.slow
 def test_a_stolen_token_is_of_no_use_after_the_robot(server, place):
     token = server.token(ROBOT)
     enrolled(server, token, place / "robot")
@@ -121,6 +122,7 @@ def test_a_stolen_token_is_of_no_use_after_the_robot(server, place):
     assert len(certificates(server)) == 1
 
 
+@pytest.mark.slow
 def test_killed_at_any_instant_a_robot_gets_one_new_certificate(server, place):
     """The server answers a repeated request as it did the first time: nothing is issued twice."""
     robot = place / "robot"
