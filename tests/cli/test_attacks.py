@@ -17,7 +17,6 @@ pytestmark = [
 ]
 
 
-@pytest.mark.slow
 def test_a_domain_that_revoked_somebody_withstands_them_too(pqsec, keystore):
     """A list of the genuine CA says nothing of the stand-in that some attacks are made with."""
     keystore("transition")
@@ -27,7 +26,6 @@ def test_a_domain_that_revoked_somebody_withstands_them_too(pqsec, keystore):
     assert [each["name"] for each in said["attacks"] if not each["ok"]] == []
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("profile", NAMES)
 def test_a_domain_withstands_all_attacks(pqsec, keystore, profile):
     root = keystore(profile)
@@ -49,7 +47,6 @@ def test_a_domain_withstands_all_attacks(pqsec, keystore, profile):
     assert snapshot(root) == before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["transition", "hybrid", "pq", "cnsa2"])
 def test_a_domain_withstands_all_attacks_on_the_second_version(pqsec, keystore, profile):
     keystore(profile)
@@ -61,7 +58,6 @@ def test_a_domain_withstands_all_attacks_on_the_second_version(pqsec, keystore, 
     assert sum(len(each.get("attempts", ())) for each in said["attacks"]) > 250
 
 
-@pytest.mark.slow
 def test_each_attack_is_told_to_a_person(pqsec, keystore):
     keystore("pq")
     told = pqsec(f"{LINE} --attack all").done().out.splitlines()

@@ -140,7 +140,6 @@ def test_a_missing_stack_is_named_with_its_packages(pqsec, tmp_path):
 PLOT = f"{PQ} --plot plots"
 
 
-@pytest.mark.slow
 def test_a_plot_is_drawn_beside_the_table(pqsec, tmp_path):
     assert pqsec(PLOT).done().out.startswith("profile ")
     assert b"<svg" in (tmp_path / "plots/suites.svg").read_bytes()

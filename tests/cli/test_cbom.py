@@ -16,7 +16,6 @@ def keystore(domains, tmp_path):
     return tmp_path / "k"
 
 
-@pytest.mark.slow
 def test_the_same_bytes_in_every_process(keystore, pqsec, process):
     printed = pqsec("-k k cbom").done().out
     for seed in "12":

@@ -54,7 +54,6 @@ def test_commands_and_options_are_offered(offered):
     assert offered("no-such-command x") == []
 
 
-@pytest.mark.slow(but=5)
 @pytest.mark.parametrize(
     "line",
     [

@@ -41,7 +41,6 @@ def fingerprints(pqsec):
     return " ".join(pqsec("-k k ca show --pins").done().out.split())
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", NAMES)
 def test_a_robot_asks_is_answered_and_runs_with_it(pqsec, asked, profile):
     robot = asked(profile)

@@ -10,14 +10,12 @@ from pqsec_pki.handshake import MAX_SAMPLE
 FLEET = "estimate --participants 4 --profile pq --loss 2%"
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(("given", "said"), [("2%", "2%"), ("5", "5%"), ("0.05%", "0.05%")])
 def test_a_loss_is_printed_as_it_is_given(pqsec, given, said):
     told = pqsec(f"estimate --participants 2 --profile pq --loss {given}").done().out
     assert f", {said} of all frames lost" in told.splitlines()[0]
 
 
-@pytest.mark.slow
 def test_the_table_has_both_models_and_the_range(pqsec):
     out = pqsec(FLEET).done().out
     assert "handshakes      6" in out
@@ -25,7 +23,6 @@ def test_the_table_has_both_models_and_the_range(pqsec):
     assert "valid for" in out
 
 
-@pytest.mark.slow
 def test_the_same_seed_gives_the_same_json(pqsec):
     one, other, third = (pqsec(f"{FLEET} --json --seed {seed}").done().json for seed in (1, 1, 2))
     assert one == other
@@ -48,7 +45,6 @@ def test_a_keystore_has_the_sizes_of_its_own_documents(pqsec, tmp_path):
     pqsec(f"estimate -k {store} --profile pq").refused(2, "the keystore has profile classical")
 
 
-@pytest.mark.slow
 def test_costs_are_those_of_bench(pqsec, tmp_path):
     bench = tmp_path / "bench.json"
     bench.write_text(pqsec("bench --profile pq --rounds 2 --warm-up 0 --json").done().out)
@@ -67,7 +63,6 @@ def test_costs_are_those_of_bench(pqsec, tmp_path):
         assert "not the JSON of `pqsec bench`" in pqsec(f"{FLEET} --costs {bench}").err
 
 
-@pytest.mark.slow
 def test_the_second_version_takes_fewer_frames_and_is_advised_where_frames_get_lost(
     pqsec, tmp_path
 ):
@@ -93,7 +88,6 @@ def test_the_second_version_takes_fewer_frames_and_is_advised_where_frames_get_l
     assert other["sample_bytes"]["reply"] < 0.75 * own["sample_bytes"]["reply"]
 
 
-@pytest.mark.slow
 def test_the_plot_is_svg_and_stays_without_force(pqsec, tmp_path):
     plot = tmp_path / "mesh.svg"
     pqsec(f"{FLEET} --plot {plot}").done()

@@ -31,7 +31,6 @@ def here(extension_site, pqsec, monkeypatch):
     foreign.exporter_of.cache_clear()
 
 
-@pytest.mark.slow
 def test_its_rule_finds_what_it_is_for(lab):
     lab("demo robots").done()
     found = (
@@ -47,7 +46,6 @@ def test_its_rule_finds_what_it_is_for(lab):
     assert "LAB001" in {each["id"] for each in log["tool"]["driver"]["rules"]}
 
 
-@pytest.mark.slow
 def test_its_stack_is_exported_for(lab, here, keystore, tmp_path):
     folder = keystore() / "enclaves/talker"
     made = lab("-k k export labdds talker -o conf --json").done().json

@@ -64,7 +64,6 @@ def run(installed, tmp_path):
     return run
 
 
-@pytest.mark.slow(but=1)
 def test_they_are_listed_with_their_package_and_broken_ones_are_named(run):
     done = run("algorithms --json")
     rows = json.loads(done.stdout)
@@ -83,7 +82,6 @@ def test_they_are_listed_with_their_package_and_broken_ones_are_named(run):
         assert words in done.stderr
 
 
-@pytest.mark.slow
 def test_a_keystore_with_both_works_and_each_process_warns_once(run):
     keys = " ".join(f"--{each}-key lab-sig" for each in ("identity", "permissions", "participant"))
     run(f"-k k ca init --no-passphrase --profile pq --kem lab-kem {keys}")
@@ -125,7 +123,6 @@ def test_a_broken_one_is_an_error_that_names_the_package(run):
     assert "the package lab-algorithms 1.2 cannot add 'mlkem768x'" in done.stderr
 
 
-@pytest.mark.slow
 def test_nothing_is_loaded_for_other_names(run):
     assert run("-k k ca init --no-passphrase").stderr.count("lab-algorithms") == 0
     assert "lab" not in run("bench --kem rot13", 2).stderr
@@ -207,7 +204,6 @@ def run_with(tmp_path):
     return run
 
 
-@pytest.mark.slow
 def test_broken_rows_and_modules_that_leave_are_named_and_the_others_work(run_with, tmp_path):
     site = tmp_path / "site"
     (site / "broken_rows.py").write_text(BROKEN_CODE)
@@ -226,7 +222,6 @@ def test_broken_rows_and_modules_that_leave_are_named_and_the_others_work(run_wi
     assert "the package broken 1.0 cannot add 'good': SystemExit: 0" in checked
 
 
-@pytest.mark.slow
 def test_a_package_whose_entry_points_cannot_be_read_is_named(run_with, tmp_path):
     for package, entries in (("latin", b"[x]\na = b:\xff"), ("torn", b"[x]\nno equals sign")):
         by_hand(tmp_path / "site", package, entries)

@@ -46,7 +46,6 @@ def package(tmp_path):
     return make
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("code", "words"),
     [
@@ -66,14 +65,12 @@ def test_a_package_that_cannot_add_rules_is_named(run, package, code, words):
     assert "uninstall" in said
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("name", ["pqs", "l", "LAB", "l4b"])
 def test_a_name_that_begins_no_id_is_refused(run, package, name):
     code = RULE.format(id=f"{name.upper()}999", scope="File", body="return []")
     assert "is not 2 to 8 small letters" in run(package(code, name), "check nowhere", code=3)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("body", "words"),
     [

@@ -202,7 +202,6 @@ def test_nothing_is_written_and_no_passphrase_needed(pqsec, locked, tmp_path):
 # Whose certificate
 
 
-@pytest.mark.slow(but=2)
 @each_profile
 def test_a_certificate_from_another_ca_of_the_same_name_is_refused(fails, keystore, profile):
     talker, _ = enclaves(keystore(profile))

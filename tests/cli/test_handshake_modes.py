@@ -79,7 +79,6 @@ def test_help_shows_each_mode_with_an_example(pqsec):
 # --all
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", NAMES)
 def test_all_pairs_of_a_keystore_meet(pqsec, keystore, profile):
     keystore(profile)
@@ -278,7 +277,6 @@ def test_another_key_agreement_can_be_tried_by_all(pqsec, keystore):
     pqsec(f"{ALL} --kem no").refused(2, "no key agreement named 'no'")
 
 
-@pytest.mark.slow
 def test_a_matrix_is_for_twenty(pqsec, keystore):
     keystore()
     pqsec("-k k issue --publish x", *(f"/n{number}" for number in range(18))).done()
@@ -365,7 +363,6 @@ def terminal():
             each.process.wait()
 
 
-@pytest.mark.slow
 def test_at_a_terminal_it_counts_participants_and_pairs(terminal, pqsec, keystore, tmp_path):
     """So many that each count is drawn: a single pair may be done before."""
     keystore()
@@ -376,7 +373,6 @@ def test_at_a_terminal_it_counts_participants_and_pairs(terminal, pqsec, keystor
     assert " of 66 pairs, " in said
 
 
-@pytest.mark.slow
 def test_json_at_a_terminal_stays_json(terminal, keystore, tmp_path):
     keystore()
     code, said = terminal(tmp_path, f"{ALL} --json").end()
@@ -393,7 +389,6 @@ def crowd(run_in, tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("moment", [b" participants, ", b" pairs, "])
 def test_an_interrupt_ends_all_processes_quietly(terminal, crowd, moment):
     before = snapshot(crowd)
@@ -409,7 +404,6 @@ def test_an_interrupt_ends_all_processes_quietly(terminal, crowd, moment):
     assert snapshot(crowd) == before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGKILL])
 def test_a_kill_leaves_no_process_behind(terminal, crowd, kind):
     running = terminal(crowd, f"{ALL} --jobs 2")
@@ -462,7 +456,6 @@ def matrix(run_in, tmp_path_factory):
     return run
 
 
-@pytest.mark.slow
 def test_the_matrix_has_a_line_for_each_suite(matrix):
     heads, *lines = matrix().out.split("\n\n")[0].splitlines()
     assert heads.split() == [
@@ -478,14 +471,12 @@ def test_the_matrix_has_a_line_for_each_suite(matrix):
     assert len({line.index("%") for line in lines}) == 1  # columns stand in line
 
 
-@pytest.mark.slow
 def test_the_matrix_says_what_promises_are_broken(matrix):
     notes = matrix().out.split("\n\n")[1]
     assert notes.count("\n!: breaks a promise of ") == len(NAMES)
     assert "breaks a promise of cnsa2: CNSA 2.0: ML-DSA-87 and ML-KEM-1024 only" in notes
 
 
-@pytest.mark.slow
 def test_the_matrix_is_told_as_json(matrix):
     told = matrix("--json").json
     assert (told["fragment_bytes"], told["rounds"]) == (1344, 1)

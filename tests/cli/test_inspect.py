@@ -170,7 +170,6 @@ def test_no_private_key_is_shown(pqsec, keystore, profile):
         assert not [each for each in hidden if each in shown]
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.usefixtures("all_iterations")
 @pytest.mark.parametrize("profile", NAMES)
 def test_of_an_encrypted_ca_key_nothing_but_its_encryption_is_shown(pqsec, keystore, profile):

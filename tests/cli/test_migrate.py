@@ -64,7 +64,6 @@ def test_a_rehearsal_that_fails_ends_with_1(keystore, pqsec):
     assert "    not: /large, /talker: final: a sample larger than 266240 bytes\n" in found.out
 
 
-@pytest.mark.slow
 def test_the_stacks_of_a_domain_file_and_its_steps(pqsec, tmp_path):
     (tmp_path / "names.txt").write_text("/talker\n/listener\n")
     (tmp_path / "domain.yaml").write_text(DOMAIN)

@@ -193,7 +193,6 @@ MEANINGLESS = {
 }
 
 
-@pytest.mark.slow(but=5)
 @pytest.mark.parametrize("line", MEANINGLESS)
 def test_what_makes_no_sense_is_a_wrong_command_line(pqsec, token, line):
     pqsec(line).refused(2, MEANINGLESS[line])

@@ -50,7 +50,6 @@ def test_a_folder_that_others_may_write_in_gets_no_plugin(pqsec, requires, tmp_p
     assert list(folder.iterdir()) == []
 
 
-@pytest.mark.slow
 def test_a_folder_that_cannot_be_made_is_told_and_not_taken_for_installed(
     pqsec, requires, tmp_path
 ):
@@ -146,7 +145,6 @@ def test_without_a_compiler_that_works_nothing_is_left(
     assert not (tmp_path / "lib").exists()
 
 
-@pytest.mark.slow
 def test_units_for_systemd_are_written_beside_all_or_nothing(
     pqsec, requires, monkeypatch, tmp_path
 ):

@@ -131,7 +131,6 @@ def test_signing_a_mistake_is_refused_in_the_same_words(pqsec, keystore, tmp_pat
     assert not (tmp_path / "bad.p7s").exists()
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("kind", "command"),
     [
@@ -151,7 +150,6 @@ def test_a_new_file_names_its_schema_for_editors(pqsec, tmp_path, kind, command)
     assert not list(validator(schema).iter_errors(yaml.safe_load(text)))
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("path", sorted(EXAMPLES.rglob("*.yaml")), ids=str)
 def test_the_yaml_files_of_the_examples_keep_to_the_schemas_that_they_name(path):
     header = path.read_text().splitlines()[0]

@@ -211,7 +211,6 @@ def test_yaml_is_answered_too(pqsec, put):
     assert pqsec(f"{asked} b").code == 1
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(120)  # what is cubic takes longer than anybody lives
 def test_blank_lines_beyond_number_are_refused_at_once(pqsec, tmp_path):
     (tmp_path / "blank.yaml").write_bytes(b"\n" * (7 << 20) + b"x")
@@ -630,7 +629,6 @@ def test_a_default_that_allows_shows_beside_what_a_pattern_lists(pqsec, put):
     assert publishers == {"rt/b": [], "rt/*": ["CN=/robot"]}
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("topic", "words"),
     [
@@ -902,7 +900,6 @@ def test_governance_is_compared_by_strength(pqsec):
     assert senses[0].count("weaker") == senses[1].count("stronger") > 0
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("form", ["old", "old.yaml"])
 def test_a_document_may_come_through_a_pipe(process, put, form, tmp_path):
     """As in `pqsec diff <(git show HEAD:policy.yaml) policy.yaml`."""

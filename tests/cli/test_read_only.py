@@ -131,7 +131,6 @@ def plain(line, said):
     return said.code, re.sub(r"\d", "", said.out) if measured else said.out, said.err
 
 
-@pytest.mark.slow(but=1)
 @superuser
 @pytest.mark.skipif(not (os.geteuid() == 0 and can_mount()), reason="nothing can be mounted here")
 def test_a_keystore_on_read_only_media_is_read_and_not_changed(folder, run_in):
@@ -148,7 +147,6 @@ def test_a_keystore_on_read_only_media_is_read_and_not_changed(folder, run_in):
     assert [each.code for each in in_a_fork(folder, on_read_only_media, run_in, kept)] == [0, 0]
 
 
-@pytest.mark.slow(but=1)
 @superuser
 def test_a_keystore_of_another_user_that_may_be_read_is_read_and_not_changed(folder, run_in):
     assert differences(folder, as_nobody, run_in) == []

@@ -62,7 +62,6 @@ def test_json_is_the_same_with_the_common_option(pqsec, keystore):
     assert different <= {"at", "command"}
 
 
-@pytest.mark.slow
 def test_the_steps_to_another_profile_are_those_of_migrate_plan(pqsec, keystore, tmp_path):
     keystore("classical")
     told = "--stack cyclonedds --json"

@@ -174,7 +174,6 @@ def test_an_overlap_is_taken_back(pqsec, k):
     }
 
 
-@pytest.mark.slow
 def test_an_overlap_has_the_passphrase_of_the_keystore(pqsec, k, secret):
     pqsec("-k k ca passphrase --new-passphrase-file", secret("one")).done()
     pqsec("-k k ca rotate --overlap begin --apply").refused(2, "the CA keys are encrypted")

@@ -102,7 +102,6 @@ def private_octets(handle) -> list[bytes]:
     return [number.to_bytes((number.bit_length() + 7) // 8)]
 
 
-@pytest.mark.slow(but=4)
 @pytest.mark.parametrize("options", ["", "--json", "--insecure-show-secrets"])
 @pytest.mark.parametrize("kem", [row.name for row in KEY_AGREEMENTS])
 def test_a_trace_has_no_secret_of_the_handshake(pqsec, keystore, handshake_secrets, kem, options):

@@ -194,7 +194,6 @@ def test_what_stands_there_stays_without_force(pqsec, keystore, tmp_path):
     pqsec("-k k verify out").done()
 
 
-@pytest.mark.slow
 @pytest.mark.usefixtures("locked")
 @pytest.mark.parametrize("kind", KINDS)
 def test_what_stands_there_is_seen_before_a_passphrase_is_needed(process, keystore, tmp_path, kind):

@@ -46,7 +46,6 @@ def holder(tmp_path):
         each.wait()
 
 
-@pytest.mark.slow
 def test_a_process_that_holds_the_key_signs_for_the_ca(run, holder, tmp_path):
     uri = holder()
     said = run(f"ca init --profile classical --no-passphrase --identity-key-uri {uri}")
@@ -59,7 +58,6 @@ def test_a_process_that_holds_the_key_signs_for_the_ca(run, holder, tmp_path):
     assert "/talker to /second: a" in run("verify-handshake talker second")
 
 
-@pytest.mark.slow
 def test_a_holder_that_is_away_is_told(run, holder, tmp_path):
     run(f"ca init --profile classical --no-passphrase --identity-key-uri {holder()}")
     (tmp_path / "s0").unlink()

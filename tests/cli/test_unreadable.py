@@ -134,7 +134,6 @@ def wrong(said: Result, place: str) -> str:
     return ""
 
 
-@pytest.mark.slow
 def test_another_user_is_told_what_cannot_be_read(closed, as_nobody):
     found = {}
     closed("enclaves/talker", "private")

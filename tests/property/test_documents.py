@@ -188,7 +188,6 @@ def test_any_text_is_a_subject_or_refused(text):
         assert parse_subject(text)
 
 
-@pytest.mark.slow
 @given(GOVERNANCES, permissions(), st.text(max_size=20), ID, TIMES)
 def test_any_question_is_answered_or_refused(governance, value, subject, domain, now):
     with contextlib.suppress(PqsecError):

@@ -36,7 +36,6 @@ def test_handshakes_and_their_floors_run_for_keys_of_each_kind():
     ]
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", ["ledger", "plugin", "serve"])
 def test_a_script_finds_what_it_runs_against_from_any_folder(name, tmp_path):
     done = subprocess.run(

@@ -334,7 +334,6 @@ def test_another_authority_is_refused(ca):
     assert "was issued by CN=Identity CA, not by CN=Other CA" in problem
 
 
-@pytest.mark.slow(but=6)
 @each_row
 def test_another_authority_of_the_same_name_is_refused(row):
     ca, other = (Authority.create("CA", row, now=NOW, validity=YEAR) for _ in range(2))

@@ -260,7 +260,6 @@ def test_nothing_is_compared_when_no_step_is_left():
     assert (within("*", patterns(), spent), meets("*", patterns(), spent)) == (False, True)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("compare", [within, meets])
 def test_hostile_expressions_share_the_steps_of_one_question(compare):
     budget, rules = Budget(), [f"{each}{'*?[!b]' * 40}" for each in "abcdefgh"]
@@ -791,7 +790,6 @@ def test_a_pattern_covers_a_name(pattern, name):
     )
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("interpretation", INTERPRETATIONS, ids=lambda each: each.name)
 @pytest.mark.parametrize("pattern", ["*a" * 100 + "b", "*a?" * 80 + "b", "*[!b]" * 60 + "b"])
 @pytest.mark.timeout(120)  # what tries all ways takes years

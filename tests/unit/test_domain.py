@@ -65,7 +65,6 @@ def test_a_second_apply_touches_no_file(scene):
     assert stamps() == before
 
 
-@pytest.mark.slow
 def test_a_thousand_are_made_in_batches_and_found_in_order(tmp_path):
     scene = Scene(tmp_path)
     scene.change("1..3", "0001..1000")
@@ -215,7 +214,6 @@ def test_validity_counts_from_the_next_certificate_on(scene):
 # Time
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("days", "why"), [(59, None), (60, "ends"), (89, "ends"), (90, "ends"), (91, "expired")]
 )
@@ -279,7 +277,6 @@ def swap(path):
     shutil.copyfile(str(path).replace("/r1/", "/r2/"), path)
 
 
-@pytest.mark.slow(but=3)
 @pytest.mark.parametrize(
     ("file", "what", "step"),
     [

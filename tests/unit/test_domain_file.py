@@ -363,7 +363,6 @@ def test_a_list_that_is_not_there_is_a_file_error(read, key):
         read(f"{HEAD}- {{{key}: nowhere, role: r}}")
 
 
-@pytest.mark.slow
 def test_no_more_participants_than_anybody_has(problems):
     half = MAX_PARTICIPANTS // 2
     text = "".join(f"- {{name: '/{x}{{0..{half}}}', role: r}}\n" for x in "ab")

@@ -41,7 +41,6 @@ def nothing(scene):
     """Only time passes."""
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("what", "days", "action"),
     [
@@ -106,7 +105,6 @@ def test_new_cas_meanwhile_end_it(scene):
     assert scene.allowed("/r1")[1] == ["rt/cmd"]
 
 
-@pytest.mark.slow
 def test_who_holds_a_keystore_may_change_it_and_others_wait(scene, monkeypatch):
     monkeypatch.setattr("pqsec_pki.keystore._lock.PATIENCE", 0)
     another_role(scene)

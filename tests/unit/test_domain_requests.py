@@ -114,7 +114,6 @@ def test_who_has_not_asked_yet_waits_and_keeps_nobody_else_from_it(tmp_path):
     assert fleet.plan().in_order
 
 
-@pytest.mark.slow(but=4)
 @pytest.mark.parametrize(
     ("flaw", "words"),
     [

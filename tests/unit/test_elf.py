@@ -66,7 +66,6 @@ def test_another_library_without_a_build_id_is_another_build(library, put):
     assert one.build != other.build
 
 
-@pytest.mark.slow
 def test_libraries_of_this_machine_are_read_as_readelf_reads_them(requires):
     requires(shutil.which("readelf"), "readelf", "apt-get install binutils")
     wrong, seen = {}, 0
@@ -120,7 +119,6 @@ def test_what_is_not_a_library_is_refused(put, tmp_path):
         read_library(put(bytes(many), "many"))
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("flags", [(), OTHER], ids=["own", "ELF32"], indirect=True)
 def test_a_damaged_library_is_read_or_refused_and_nothing_else(library, put, flags):
     """Every byte of its headers, dynamic section and names, each to several values; every end."""

@@ -498,7 +498,6 @@ def test_fast_dds_needs_the_passphrase_in_the_file(own, version):
     assert "--password-file" in refusal.value.hint
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("stack", "secret", "why"),
     [

@@ -127,7 +127,6 @@ PLANTED = {
 }
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("change", CHANGES.values(), ids=CHANGES)
 def test_a_change_goes_through_no_link_that_lies_there(root, change):
     before, original, found = canary(root), root.with_name("original"), []

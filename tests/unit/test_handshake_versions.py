@@ -85,7 +85,6 @@ def tokens(met):
     return {"request": request, "reply": reply, "final": final}
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("kind", KINDS, ids=str)
 def test_both_end_with_one_secret_and_with_documents_that_verify(now, kind):
     met = meeting(now, kind)

@@ -100,7 +100,6 @@ def test_what_gzip_can_do_to_hide_more_is_refused(data, words):
         tarball.unpack(data)
 
 
-@pytest.mark.slow
 def test_more_files_than_any_bundle_has_are_refused():
     names = (member(name=f"n{number}") for number in range(tarball.MAX_MEMBERS + 1))
     with pytest.raises(MalformedError, match="more than 20000 files"):

@@ -70,7 +70,6 @@ SCENES = {
 }
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prepared, scene):
     original = prepared(scene.before)
@@ -99,7 +98,6 @@ def test_participants_are_all_issued_or_none_whenever_the_kill_comes(place, prep
     check_commitment(outcomes, scene.every)
 
 
-@pytest.mark.slow
 def test_a_keystore_is_made_or_not_whenever_the_kill_comes(place):
     outcomes = []
     for calls in disturbed_calls(5):

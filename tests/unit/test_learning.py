@@ -427,7 +427,6 @@ def test_crafted_lines_take_no_more_time_than_others():
     assert [each.name for each in trace.participants()] == [""]
 
 
-@pytest.mark.slow
 def test_thousands_of_nodes_in_one_participant_take_no_more_time_than_others():
     nodes = tuple(f"/n{number}" for number in range(10_000))  # squared, a minute
     points = [Endpoint(0, Action.SUBSCRIBE, f"rq{each}/get_parametersRequest") for each in nodes]

@@ -357,7 +357,6 @@ def test_what_an_older_ledger_has_can_be_renewed_and_revoked(keystore):
     audit(keystore)
 
 
-@pytest.mark.slow
 def test_several_who_find_an_older_ledger_bring_it_up_to_date_once(keystore):
     rows = older(keystore)
     work = lambda: Keystore.open(keystore.root).ledger()  # noqa: E731

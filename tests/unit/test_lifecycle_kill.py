@@ -87,7 +87,6 @@ SCENES = {
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared, scene):
     original = place / "original"
@@ -110,7 +109,6 @@ def test_it_is_wholly_done_or_not_at_all_whenever_the_kill_comes(place, prepared
     check_commitment(outcomes, scene.every)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("name", ["renewed with new keys", "the first revocation"])
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, name):
     scene, original = SCENES[name], prepared(BOTH)
@@ -166,7 +164,6 @@ def test_a_mode_that_the_user_opened_or_narrowed_stays(place, prepared):
         assert (root / "enclaves/talker").stat().st_mode & 0o777 == mode
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("count", [2, 8])
 def test_processes_that_issue_renew_and_revoke_at_once_lose_nothing(place, count):
     root = place / "keystore"

@@ -345,7 +345,6 @@ def test_rules_are_found_by_their_id_and_say_what_they_must():
         assert rule.stacks or not rule.only_when_asked
 
 
-@pytest.mark.slow
 def test_all_rules_are_found_where_only_compiled_modules_are_installed(tmp_path):
     """Without its rules a check would find nothing, and say so."""
     package = Path(pqsec_pki.__file__).parent

@@ -98,7 +98,6 @@ def test_names_that_cannot_be_confused_are_not(tmp_path, certificates, grants):
     assert found_in(tmp_path, "PQS401", folder_of(certificates, grants)) == []
 
 
-@pytest.mark.slow
 def test_of_a_thousand_names_few_are_compared(tmp_path, monkeypatch):
     [grant] = Permissions.from_xml(permissions("CN=/fleet/robot0/arm")).grants
     names_of_grants = (f"CN=/fleet/robot{n}/arm" for n in range(1000))

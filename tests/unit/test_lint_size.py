@@ -17,7 +17,6 @@ DER_SLACK = 8
 """Bytes that an ECDSA signature may be shorter than the longest, and padding."""
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", PROFILES, ids=lambda profile: profile.name)
 def test_the_reckoned_size_is_what_is_sent(tmp_path, profile):
     keystore = Keystore.open(Lab(tmp_path, profile.name).root)
@@ -42,7 +41,6 @@ def with_topics(lab, number):
     lab.sign_permissions(Permissions(grants=(replace(grant, rules=(wide,)),)))
 
 
-@pytest.mark.slow(but=4)
 @pytest.mark.parametrize(
     ("profile", "topics", "targets", "rules"),
     [

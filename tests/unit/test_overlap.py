@@ -106,7 +106,6 @@ def test_a_damaged_line_about_two_cas_is_an_error_of_ours(keystore, details):
 # The way there
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", ["classical", "transition", "hybrid", "pq"])
 def test_robots_of_a_round_take_those_of_the_round_before_and_after(tmp_path, profile):
     keystore = made(tmp_path / "k", profile)
@@ -278,7 +277,6 @@ def test_an_enclave_with_a_ca_file_of_its_own_gets_the_link(keystore):
 # Passphrases
 
 
-@pytest.mark.slow
 def test_the_next_ca_has_the_passphrase_of_the_others(keystore):
     change_passphrase(keystore, keystore.unlock(None), b"right")
     begin(keystore, b"right")

@@ -22,7 +22,6 @@ def change(keystore, old, new):
     return change_passphrase(keystore, keystore.unlock(old), new)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("profile", ["transition", "pq"])
 def test_it_is_set_changed_and_removed(tmp_path, profile):
     keystore = made(tmp_path / "k", profile)
@@ -40,7 +39,6 @@ def test_it_is_set_changed_and_removed(tmp_path, profile):
     audit(keystore)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(("old", "new"), [(None, b"new"), (b"old", b"new"), (b"old", None)])
 def test_what_the_old_files_held_is_overwritten(keystore, old, new):
     change(keystore, None, old)

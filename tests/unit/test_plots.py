@@ -50,7 +50,6 @@ def test_suites_are_bars_with_their_names():
     assert suites_drawn([]) == {}
 
 
-@pytest.mark.slow
 def test_meetings_have_a_line_for_each_loss_and_a_panel_for_each_kind():
     rows = [*runs(2, 0.0, 0.5, 0.6), *runs(2, 0.05, 1.5, 3.0), row("complete", 2, profile=None)]
     said = texts(meshes_drawn(rows)["meetings.svg"])
@@ -67,7 +66,6 @@ def test_the_second_version_of_messages_has_bars_and_panels_of_its_own():
     assert {f"cyclonedds pq {more}2 hosts MTU 1500" for more in ("", "version 2 ")} <= said
 
 
-@pytest.mark.slow
 def test_who_has_not_met_counts_as_apart():
     """Half of the pairs: the line ends in the middle of the panel."""
     heights = []
@@ -79,14 +77,12 @@ def test_who_has_not_met_counts_as_apart():
     assert half == pytest.approx(whole / 2)
 
 
-@pytest.mark.slow
 def test_costs_are_drawn_against_the_number_of_hosts():
     rows = [*runs(2, 0.0, 0.5, 0.6), *runs(3, 0.0, *[1.0] * 6)]
     said = texts(meshes_drawn(rows)["hosts.svg"])
     assert {"hosts", "seconds to full mesh", "datagrams", "cyclonedds pq 0% loss MTU 1500"} <= said
 
 
-@pytest.mark.slow
 def test_values_may_be_text_as_csv_has_them():
     rows = [*runs(2, 0.0, 0.5, 0.6), *runs(3, 0.0, *[1.0] * 6), *runs(3, 0.1)]
     text = [{name: "" if v is None else str(v) for name, v in each.items()} for each in rows]

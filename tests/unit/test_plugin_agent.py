@@ -242,7 +242,6 @@ def staying(place, site, *more, **environment):
         process.communicate()
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("change", ["another program", "no socket"])
 def test_an_agent_without_hosts_stays_until_it_is_no_longer_the_users(place, tmp_path, change):
     """The first participant after a pause waited for a whole start: 0.2 s."""
@@ -371,7 +370,6 @@ def test_a_library_of_another_version_gets_the_agent_that_was_installed_with_it(
         host.close()
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("has_host", [True, False])
 def test_an_agent_does_not_outlive_a_library_that_was_replaced(place, tmp_path, has_host):
     """An update of OpenSSL, Python or lxml reached no participant before a logout."""
@@ -448,7 +446,6 @@ def test_workers_of_one_agent_have_no_random_numbers_in_common():
     assert len(found) == len(set(found)) == 2 * (len(KEY_AGREEMENTS) + 2)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("mode", [0o755, 0o770])
 def test_a_folder_that_others_can_enter_is_refused(place, mode):
     place.folder.chmod(mode)
@@ -506,7 +503,6 @@ def test_a_user_with_a_large_number_is_known():
     assert os.waitpid(child, 0)[1] == 0
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     "octets",
     [b"", b"\0", b"\xff" * 100, greeting("authentication")[:9], framed(b"nonsense")],

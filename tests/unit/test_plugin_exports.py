@@ -86,7 +86,6 @@ def libraries(made):
     return dict(zip(["authentication", "cryptography", "access control"], found, strict=True))
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", PROFILE_NAMES)
 def test_cyclone_loads_ours_for_all_but_encryption(model, folder, profile):
     found = libraries(exported("cyclonedds", model(profile), folder))

@@ -157,7 +157,6 @@ def agent(place, prelude="", **variables):
         yield process
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("kind", ["AS", "CPU", "DATA", "FSIZE", "NPROC"])
 def test_a_hosts_own_limits_do_not_end_or_hinder_the_agent(place, kind):
     """A host with `ulimit -S -t 9` got an agent that the system killed, with all its hosts."""
@@ -168,14 +167,12 @@ def test_a_hosts_own_limits_do_not_end_or_hinder_the_agent(place, kind):
         assert resource.prlimit(process.pid, number) == (hard, hard)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("nice", [-5, 5])
 def test_a_hosts_nice_value_is_not_the_agents(place, nice):
     with running(place, f"os.nice({nice})") as process:
         assert os.getpriority(os.PRIO_PROCESS, process.pid) == 0
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("before", ["", NO_PROC])
 def test_a_hosts_capabilities_are_not_the_agents(place, before):
     """Files that only such a host may read were read for all of the user's hosts."""
@@ -185,7 +182,6 @@ def test_a_hosts_capabilities_are_not_the_agents(place, before):
     assert "CapPrm:\t0000000000000000" in status
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("other", [OTHER_MOUNTS, OTHER_ROOT])
 def test_a_host_that_sees_other_files_is_not_served_with_those_of_the_first(place, other):
     """Paths in its configuration named other files: it got another participant's identity."""
@@ -200,7 +196,6 @@ def test_a_host_is_not_served_by_an_agent_of_another_mount_name_space(place):
         assert TURNED_AWAY in host(place)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("first", "second"),
     [((100, 200), (100,)), ((100,), (100, 200)), ((100,), (200,))],
@@ -224,7 +219,6 @@ def test_a_host_with_higher_limits_is_not_served_under_lower_ones(place):
         assert TURNED_AWAY in host(place, as_nobody())
 
 
-@pytest.mark.slow
 def test_a_host_with_more_files_than_an_agent_can_use_is_served(place):
     few, enough, more = (as_nobody(limit("NOFILE", files)) for files in (512, 1024, 2048))
     with agent(place, enough):
@@ -233,7 +227,6 @@ def test_a_host_with_more_files_than_an_agent_can_use_is_served(place):
         assert TURNED_AWAY in host(place, enough)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "low",
     [
@@ -271,7 +264,6 @@ def test_a_host_without_a_filter_of_system_calls_gets_an_agent_without(place):
         assert host(place, FILTER) == ""
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", ["PQSEC_PKCS11_MODULE", "PQSEC_PIN_FILE"])
 def test_a_host_with_another_library_of_tokens_gets_an_agent_that_loads_it(place, name):
     """Its token was not there, or its PIN was wrong, until the agent was stopped by hand."""

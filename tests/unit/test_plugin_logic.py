@@ -471,7 +471,6 @@ def test_a_peer_is_judged_by_the_documents_of_the_participant_that_met_it(folder
             shim.call("validate_remote_permissions", 3 - handle, 9, TOKEN, credential)
 
 
-@pytest.mark.slow
 def test_a_partition_is_for_who_is_granted_all_that_its_wildcards_stand_for(tmp_path):
     """By its own stack and by its peers, and whatever a peer sends, in so many steps."""
     keystore = made(tmp_path / "k", "pq")

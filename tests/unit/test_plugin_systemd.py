@@ -98,7 +98,6 @@ def test_who_connects_before_the_agent_runs_is_served_and_the_socket_stays(runti
             assert answered(place).process == process.pid
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("flaw", "words"),
     [

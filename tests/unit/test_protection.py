@@ -474,7 +474,6 @@ def test_two_senders_of_one_key_begin_elsewhere():
     assert len({iv[4:] for iv in begun}) == 50
 
 
-@pytest.mark.slow
 def test_threads_that_share_a_sender_share_no_initialization_vector():
     sender = Sender(MATERIAL, blocks_per_session=7)
     with ThreadPoolExecutor(8) as pool:

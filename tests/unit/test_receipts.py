@@ -122,7 +122,6 @@ def test_a_number_that_no_ledger_line_has_is_refused(keystore, number):
 # The receipt, as a robot makes it
 
 
-@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("key", [*(each.name for each in PROFILES), "rsa-2048"])
 def test_a_receipt_names_the_installed_files_and_every_key_of_the_robot_signs_it(place, key):
     rsa = key.startswith("rsa")

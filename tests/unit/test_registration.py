@@ -306,7 +306,6 @@ def test_an_order_by_another_key_is_refused(line):
         line.order(grant, "/fleet/r1", key=other)
 
 
-@pytest.mark.slow(but=3)
 @pytest.mark.parametrize(
     ("field", "value", "words"),
     [

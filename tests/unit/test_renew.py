@@ -58,7 +58,6 @@ def put_permissions(keystore, *grants, now=NOW):
 # What is made
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("rekey", [True, False], ids=["rekey", "keep-key"])
 @pytest.mark.parametrize("profile", [profile.name for profile in PROFILES])
 def test_a_renewed_participant_is_whole_and_allowed_the_same(tmp_path, profile, rekey):

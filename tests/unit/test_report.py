@@ -276,7 +276,6 @@ def test_what_robots_run_is_told_by_their_receipts(tmp_path):
 # What cannot be read
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("broken", "lost", "still"),
     [

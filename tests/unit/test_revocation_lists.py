@@ -205,7 +205,6 @@ def test_everything_that_is_wrong_is_said():
     assert len(refusal.value.lines) == 3
 
 
-@pytest.mark.slow
 def test_a_long_list_is_made_and_asked_in_a_moment():
     crl = made(*(entry(serial) for serial in range(1, 20_001)))
     assert len(RevocationList.from_der(crl.der).revoked) == 20_000

@@ -123,7 +123,6 @@ def test_that_a_key_is_compromised_may_become_known_later(keystore):
 # What the list says, and where it lies
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", NAMES)
 def test_the_list_is_in_every_enclave_and_signed_as_the_profile_wants(tmp_path, profile):
     keystore = made(tmp_path / "k", profile, names=("/talker", "/fleet/eu/robot1"))

@@ -90,7 +90,6 @@ def assert_whole(keystore, names=TWO):
 # What is made
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("to", [profile.name for profile in PROFILES])
 @pytest.mark.parametrize("start", ["classical", "transition", "pq"])
 def test_everybody_comes_along_from_any_profile_to_any(tmp_path, start, to):

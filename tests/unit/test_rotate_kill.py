@@ -128,7 +128,6 @@ def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, s
     assert set(outcomes) == {False, True}
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
 def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, code):
     original = prepared(BOTH)
@@ -152,7 +151,6 @@ def keys_in(root):
     return {hashlib.sha256(path.read_bytes()).hexdigest() for path in found}
 
 
-@pytest.mark.slow
 def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
     original = prepared(BOTH)
     old = keys_in(original)
@@ -177,7 +175,6 @@ def test_old_keys_are_nowhere_once_a_killed_change_is_finished(place, prepared):
     assert committed > 1
 
 
-@pytest.mark.slow
 def test_the_passphrase_is_old_or_new_whenever_the_kill_comes(place, prepared):
     original = place / "original"
     shutil.copytree(prepared(()), original, symlinks=True)
@@ -202,7 +199,6 @@ def test_the_passphrase_is_old_or_new_whenever_the_kill_comes(place, prepared):
     assert set(outcomes) == {False, True}
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("with_list", [False, True])
 def test_an_adoption_is_done_or_not_whenever_the_kill_comes(place, with_list):
     original = place / "original"
@@ -265,7 +261,6 @@ def rotate_by_command(root):
     subprocess.run([sys.executable, "-m", "pqsec_pki", *words], check=True, capture_output=True)
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("command", [False, True])
 def test_two_rollovers_at_once_are_one_after_the_other(place, prepared, command):
     root = place / "keystore"

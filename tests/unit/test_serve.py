@@ -119,7 +119,6 @@ REFUSED = {
 }
 
 
-@pytest.mark.slow(but=4)
 @pytest.mark.parametrize("what", REFUSED)
 def test_nobody_else_gets_a_certificate(server, tmp_path, what):
     names = {
@@ -196,7 +195,6 @@ def test_a_revoked_certificate_gets_nothing(server, tmp_path):
     assert (reply.status, reply.detail) == (403, "/other was revoked")
 
 
-@pytest.mark.slow(but=4)
 @pytest.mark.parametrize(
     ("method", "path", "status"),
     [
@@ -317,7 +315,6 @@ def waiting_request(server):
     return waiting.request(waits)
 
 
-@pytest.mark.slow
 def test_who_asks_most_keeps_nobody_out(asking, tmp_path):
     """Four requests of a stranger kept everybody out for a month."""
     robot, stranger = (Robot(asking, tmp_path / each, "/fleet/r3") for each in ("a", "b"))

@@ -80,7 +80,6 @@ def renews(server, robot, first):
     assert kinds(server)[-1] == "permissions"
 
 
-@pytest.mark.slow
 def test_who_has_only_the_request_that_was_planned_waits_for_a_decision(server, tmp_path):
     """What is answered is no secret; but nobody said that this one may have it."""
     request = Robot(server, tmp_path, "/other").request
@@ -95,7 +94,6 @@ def test_who_has_only_the_request_that_was_planned_waits_for_a_decision(server, 
     assert server.ask(request).status == 200
 
 
-@pytest.mark.slow
 def test_a_refused_request_stays_refused(server, tmp_path):
     robot, token = Robot(server, tmp_path, "/fleet/r3"), server.token("/fleet/r3")
     assert server.ask(robot.request, token=token).status == 202
@@ -112,7 +110,6 @@ def test_who_shows_nothing_gets_what_was_approved_and_then_planned(server, tmp_p
     assert server.ask(request).status == 200
 
 
-@pytest.mark.slow
 def test_a_refused_renewal_is_asked_for_anew(server, tmp_path):
     """The robot sent the refused request for ever, until its certificate ended."""
     name, token, root = "/fleet/r2", server.token("/fleet/r2"), tmp_path / "r"
@@ -175,7 +172,6 @@ def ordering(tmp_path_factory):
         yield made
 
 
-@pytest.mark.slow
 def test_the_ordered_request_gets_what_the_order_issued(ordering, tmp_path):
     """With a token it got a second certificate, beside that of the order."""
     robot, lines = ordering.robots["ordered"], len(ordering.keystore.ledger())
@@ -196,7 +192,6 @@ def test_the_ordered_request_gets_what_the_order_issued(ordering, tmp_path):
     assert ordering.ask(robot.new(), identity=identity).status == 200
 
 
-@pytest.mark.slow
 def test_what_was_ordered_and_revoked_is_given_to_nobody(ordering):
     request = ordering.robots["revoked"].request
     assert ordering.ask(request).status == 200
@@ -205,7 +200,6 @@ def test_what_was_ordered_and_revoked_is_given_to_nobody(ordering):
     assert (reply.status, reply.detail) == (403, "/revoked was revoked")
 
 
-@pytest.mark.slow
 def test_a_renewal_gives_no_other_rights_than_the_order_did(ordering):
     """Within its grant for robots, a registration authority got the rights of the chief so."""
     folder, robot = ordering.folder, Robot(ordering, ordering.folder / "boss", "/boss")

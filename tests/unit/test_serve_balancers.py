@@ -173,7 +173,6 @@ def refused(server, before, source=BALANCER):
             return True
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("before", "client"),
     [
@@ -234,7 +233,6 @@ def test_a_balancer_without_a_right_header_is_refused_and_the_log_says_why(serve
         assert "PROXY header" in told["detail"]
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("before", [b"", b"PROXY TCP4 1", SIGNATURE, binary(ROBOT, rest=TLVS)[:-1]])
 def test_a_header_that_does_not_end_in_time_is_cut_off(server, before):
     late = counted(server, "late")
@@ -242,7 +240,6 @@ def test_a_header_that_does_not_end_in_time_is_cut_off(server, before):
     assert counted(server, "late") > late
 
 
-@pytest.mark.slow
 def test_the_time_of_a_header_ends_with_it(server):
     """Else it would cut the robot off in the middle of a later request."""
     late = counted(server, "late")
@@ -251,7 +248,6 @@ def test_the_time_of_a_header_ends_with_it(server):
     assert counted(server, "late") == late
 
 
-@pytest.mark.slow
 def test_a_header_that_comes_octet_by_octet_has_one_time(server):
     late = counted(server, "late")
     with socket.create_connection((HOST, server.port), PATIENCE, (BALANCER, 0)) as link:
@@ -298,7 +294,6 @@ def test_tls_may_begin_in_the_segment_of_the_header(server, apart):
         assert link.recv(3) == b"\x16\x03\x03"
 
 
-@pytest.mark.slow
 def test_who_is_a_balancer_is_read_again(server):
     settings = json.loads(server.config.read_text())
     server.config.write_text(json.dumps(settings | {"proxy_from": f"{SECOND}/31"}))

@@ -151,7 +151,6 @@ def test_it_does_not_renew_what_the_domain_file_does_not_name(office):
     assert (status, detail) == (403, "/r1 is not in the domain file")
 
 
-@pytest.mark.slow
 def test_a_robot_that_was_off_for_too_long_renews_over_tls(tmp_path):
     past = datetime.now(UTC) - 95 * DAY
     server = Server(tmp_path, past - DAY, "classical", renew_expired="30d")

@@ -71,7 +71,6 @@ def test_a_new_line_of_an_inventory_counts_at_once(server, tmp_path):
     assert f"{server.folder}/robots.csv was read again" in server.log
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", ["robots.csv", "acme.pem", "line.crl"])
 def test_a_file_with_a_mistake_leaves_the_old_one_in_force(server, maker, tmp_path, name):
     path = server.folder / name
@@ -153,7 +152,6 @@ def signals():
     signal.signal(signal.SIGTERM, before)
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(60)
 def test_a_server_that_cannot_listen_issues_no_list(tmp_path, signals):
     """It issued one before it found its port taken, and ended without a word while it started."""
@@ -166,7 +164,6 @@ def test_a_server_that_cannot_listen_issues_no_list(tmp_path, signals):
     assert "crl" not in {each.kind for each in made.keystore.ledger()}
 
 
-@pytest.mark.slow
 @pytest.mark.timeout(120)
 @pytest.mark.parametrize("part", ["both", "signer"])
 def test_a_second_server_by_mistake_leaves_the_first_its_socket(tmp_path, part):

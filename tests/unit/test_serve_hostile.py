@@ -382,7 +382,6 @@ def test_readiness_is_told_at_the_socket_that_is_named(tmp_path, name):
         assert notices.recv(100) == b"READY=1"
 
 
-@pytest.mark.slow
 def test_two_services_share_a_socket_that_systemd_made(tmp_path):
     made = Server(tmp_path, datetime.now(UTC))
     command = [sys.executable, "-m", "pqsec_pki", "serve", "--config", str(made.config), "--part"]

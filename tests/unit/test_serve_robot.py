@@ -81,7 +81,6 @@ def test_a_robot_lives_with_its_server(server, place):
     audit(server.keystore)
 
 
-@pytest.mark.slow
 def test_a_refusal_that_may_end_costs_no_request(server, place):
     """Only one that is never answered is made anew: else keys that wait would be lost."""
     robot = place / "robot"
@@ -97,7 +96,6 @@ def test_a_refusal_that_may_end_costs_no_request(server, place):
     assert sent[0] == sent[1]
 
 
-@pytest.mark.slow
 def test_a_robot_sends_its_receipt_as_a_participant_that_is_not_revoked(server, place):
     robot = place / "robot"
     for name in (ROBOT, OTHER):
@@ -112,7 +110,6 @@ def test_a_robot_sends_its_receipt_as_a_participant_that_is_not_revoked(server, 
     assert states[OTHER].state is InstallState.CURRENT
 
 
-@pytest.mark.slow
 def test_a_stolen_token_is_of_no_use_after_the_robot(server, place):
     token = server.token(ROBOT)
     enrolled(server, token, place / "robot")

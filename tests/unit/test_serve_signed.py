@@ -96,7 +96,6 @@ def asked(server, signer, method, path, body=b""):
         return send(link, method, path, body, signer.headers(link, method, path, body))
 
 
-@pytest.mark.slow
 def test_a_robot_with_composite_keys_lives_with_its_server(server, tmp_path):
     name, token = "/fleet/r3", server.token("/fleet/r3")
     trust, secret = ServerTrust(pins=token.server_pins), (token.id, token.secret)

@@ -123,7 +123,6 @@ def test_a_file_in_which_readers_find_two_documents_is_refused(construction):
     assert not is_canonical(message)
 
 
-@pytest.mark.slow(but=2)
 @pytest.mark.interop
 @pytest.mark.parametrize("command", ["smime", "cms"])
 @pytest.mark.parametrize("construction", CONSTRUCTIONS, ids=lambda each: each.__name__)
@@ -163,7 +162,6 @@ def test_a_file_of_another_form_is_read_and_handed_on_in_the_one_form(form):
     assert (found.document, found.message) == (crlf(ALLOWED), message)
 
 
-@pytest.mark.slow(but=4)
 @pytest.mark.interop
 @pytest.mark.parametrize("form", WRAPPERS)
 def test_openssl_reads_the_other_forms_too(openssl, tmp_path, form):

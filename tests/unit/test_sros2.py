@@ -379,7 +379,6 @@ BOMBS = {
 }
 
 
-@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", BOMBS)
 def test_an_include_bomb_is_refused(read, name):
     files, words = BOMBS[name]
