@@ -69,7 +69,7 @@ TESTS = {
         "sharing",
         "plugin_rights",
     ),
-    "approvals": ("approvals",),
+    "approvals": ("approvals", "registration", "domain_orders"),
     "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
     "server": (
         "serve_admission",

@@ -86,6 +86,8 @@ def test_each_part_of_the_longer_job_has_a_name_and_a_number():
     assert {name.partition("/")[0] for name in names} <= {
         line.partition("(")[0] for line in script.splitlines() if "() {" in line
     }
+    turn, of, count, *_ = longer("--turn").stdout.split() or ["1", "of", str(len(listed))]
+    assert (1 <= int(turn) <= len(listed), of, count) == (True, "of", str(len(listed)))
     for wrong in ("fuzz/0", "nothing", str(len(listed) + 1), "0"):
         done = longer(wrong)
         assert (done.returncode, f"no part {wrong}: " in done.stderr) == (2, True), done
