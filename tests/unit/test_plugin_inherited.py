@@ -358,6 +358,7 @@ def connections(place):
     return [line for line in lines if line.endswith(f" {place.socket}")]
 
 
+@mounts
 def test_an_agent_that_was_not_started_by_a_host_serves_hosts_in_containers(place):
     """As `pqsec agent run` and systemd's do: who runs it has chosen what it sees and may."""
     code = (
@@ -373,6 +374,7 @@ def test_an_agent_that_was_not_started_by_a_host_serves_hosts_in_containers(plac
             process.kill()
 
 
+@mounts
 def test_hosts_of_the_agent_that_serves_no_others_stay(place):
     with agent(place) as process:
         first = Client(place, "authentication")
