@@ -2,15 +2,16 @@
 
 A test of another implementation is marked `interop` and asks for it through `requires`.
 Where it is missing the test is skipped, with the way to get it in the reason. With
-PQSEC_REQUIRE_INTEROP=1, as in .ci/run, such a skip is a failure.
+PQSEC_REQUIRE_INTEROP=1, as in .ci/run, a skip is a failure.
 """
 
 import gc
 import os
 import signal
-from collections import Counter
+import sys
 from collections.abc import Callable
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import TypeVar
 
 import hypothesis
@@ -18,15 +19,15 @@ import pytest
 
 from pqsec_pki.algorithms import _pbes2
 from tests.libraries import Libraries, libraries
-from tests.longer import ALL_CASES, LONG, gate_part, named
-from tests.measured import pytest_sessionstart
-
-__all__ = ["pytest_sessionstart"]
+from tests.longer import LONG, chosen, named
 
 Found = TypeVar("Found")
 
 # A shell has what it starts in the background ignore it, and programs under test inherit that.
 signal.signal(signal.SIGINT, signal.default_int_handler)
+
+# What a fork runs is measured for nobody: it ends without saving it.
+os.register_at_fork(after_in_child=lambda: sys.settrace(None))
 
 # No test asserts wall-clock time: by default hypothesis fails an example that takes 200 ms.
 hypothesis.settings.register_profile("pqsec", deadline=None, max_examples=100 if LONG else 15)
@@ -36,6 +37,8 @@ ITERATIONS = _pbes2.ITERATIONS
 if not LONG:  # else a key under a passphrase takes a quarter of a second at each use
     _pbes2.ITERATIONS = 1000
 
+SKIPPED = os.environ.get("PQSEC_SKIPPED")
+"""A file for the names of skipped tests: .ci/run runs them where nothing is missing."""
 ALL_MUST_RUN = os.environ.get("PQSEC_REQUIRE_INTEROP") == "1"
 ELSEWHERE = (
     *("in .ci/long: ", "PQSEC_CYCLONEDDS_11", "PQSEC_FASTDDS_"),
@@ -47,16 +50,12 @@ names a build: of a DDS, the prefix in which it was installed from the project's
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Leave out what is in `.ci/long`. Workers begin with the files that have most slow tests."""
-    if not ALL_CASES:
-        always = named(items, config.args, config.invocation_params.dir)
-        kept = always | gate_part(item for item in items if item not in always)
-        if left := [item for item in items if item not in kept]:
-            config.hook.pytest_deselected(items=left)
-            items[:] = [item for item in items if item in kept]
-    if hasattr(config, "workerinput"):
-        slow = Counter(item.path for item in items if item.get_closest_marker("slow"))
-        items.sort(key=lambda item: -slow[item.path])
+    """Leave out what is for `.ci/long`, or is not in this part."""
+    kept = chosen(items, named(items, config.args, config.invocation_params.dir))
+    left = set(items).difference(kept)
+    if left:
+        config.hook.pytest_deselected(items=[item for item in items if item in left])
+        items[:] = kept
 
 
 def pytest_collection_finish() -> None:
@@ -99,10 +98,22 @@ def now() -> datetime:
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_makereport(item, call):
     report = yield
-    skipped = report.skipped and not hasattr(report, "wasxfail")
-    if ALL_MUST_RUN and skipped and item.get_closest_marker("interop"):
-        if any(each in report.longrepr[2] for each in ELSEWHERE):
-            return report
+    if ALL_MUST_RUN and _is_skipped(report) and not _is_run_elsewhere(report):
         report.outcome = "failed"
         report.longrepr = f"PQSEC_REQUIRE_INTEROP=1 allows no skips. {report.longrepr[2]}"
     return report
+
+
+def pytest_runtest_logreport(report: pytest.TestReport) -> None:
+    """The process that has the workers notes what was skipped."""
+    if SKIPPED and "PYTEST_XDIST_WORKER" not in os.environ and _is_skipped(report):
+        with Path(SKIPPED).open("a") as file:
+            file.write(f"{report.nodeid}\n")
+
+
+def _is_skipped(report: pytest.TestReport) -> bool:
+    return report.skipped and not hasattr(report, "wasxfail")
+
+
+def _is_run_elsewhere(report: pytest.TestReport) -> bool:
+    return any(each in report.longrepr[2] for each in ELSEWHERE)

@@ -1,17 +1,18 @@
-"""What the gate tests in part, and the longer job (`.ci/long`, PQSEC_LONG=1) as a whole.
+"""What the gate runs of the tests, and the longer job (`.ci/long`, PQSEC_LONG=1) as a whole.
 
 Amounts: generated examples, seeds and the rows that one test goes through are fewer in the gate.
 
-Cases: `gate_part` chooses those that the gate runs. Of a test over several tables (profiles by
-versions by who begins) it takes each value of each table once: what one value breaks is seen, and
-what only two together break is left to the longer job. `longer.toml` says what else it leaves out,
-in one place, so that one reader sees all of it. What is left out is deselected, and not skipped:
-thousands of skips would hide those that mean something. A test that is named with `::` always
-runs. PQSEC_LONG=cases runs all cases in the gate's amounts.
+Cases: `chosen` has those of the gate. A test that is marked `slow` is not among them; one that is
+marked `slow(but=N)` is with N of its cases. Of another test over several tables (profiles by
+versions by who begins) the gate takes each value of each table once: what one value breaks is seen,
+and what only two together break is left to the longer job. What is left out is deselected, and not
+skipped: thousands of skips would hide those that mean something. A test that is named with `::`
+always runs. PQSEC_LONG=cases runs all cases in the gate's amounts.
+
+Parts: PQSEC_PART=2/5 runs the second of five parts of the cases.
 """
 
 import os
-import tomllib
 from collections import defaultdict
 from collections.abc import Collection, Hashable, Iterable, Sequence
 from pathlib import Path
@@ -23,16 +24,11 @@ Case = TypeVar("Case")
 
 LONG = os.environ.get("PQSEC_LONG") == "1"
 ALL_CASES = os.environ.get("PQSEC_LONG") in {"1", "cases"}
-TESTS = Path(__file__).parent
-PART = 10
-"""The gate takes one in so many."""
+PART, PARTS = map(int, os.environ.get("PQSEC_PART", "1/1").split("/"))
 EXAMPLES = 40
-"""Of generated examples, which have seeds of their own, one in so many."""
+"""Of generated examples, which have seeds of their own, the gate takes one in so many."""
 FEW = 3
 """And of tables that many tests go through, one row in so many."""
-
-Part = int | list[str]
-"""How many cases the gate keeps; or which it leaves out."""
 
 
 def examples(whole: int) -> int:
@@ -50,40 +46,45 @@ def some(rows: Sequence[Case], turn: int = 0) -> Sequence[Case]:
     return rows if LONG else rows[turn % FEW :: FEW]
 
 
-def named(items: Iterable[pytest.Item], arguments: Iterable[str], folder: Path) -> set[pytest.Item]:
-    """Those that arguments of a command in that folder name with `::`."""
-    pairs = [each.partition("::")[::2] for each in arguments if "::" in each]
-    wanted = [(Path(os.path.abspath(folder / file)), name) for file, name in pairs]  # noqa: PTH100
-    return {
-        item
-        for item in items
-        for path, name in wanted
-        if item.path == path
-        and f"{item.nodeid}[".partition("::")[2].startswith((f"{name}[", f"{name}::"))
-    }
+def chosen(items: Sequence[pytest.Item], named: Collection[pytest.Item]) -> list[pytest.Item]:
+    """Those that run here, in their order; `named` are among them."""
+    others = [item for item in items if item not in named]
+    kept = {*named, *(others if ALL_CASES else of_gate(others))[PART - 1 :: PARTS]}
+    return [item for item in items if item in kept]
 
 
-def gate_part(items: Iterable[pytest.Item]) -> set[pytest.Item]:
-    """Those that the gate runs; UsageError if `longer.toml` leaves out a case that there is not."""
-    parts = tomllib.loads((TESTS / "longer.toml").read_text())
+def of_gate(items: Iterable[pytest.Item]) -> list[pytest.Item]:
+    """Those that the gate runs, test by test."""
     tests: dict[str, list[pytest.Item]] = defaultdict(list)
     for item in items:
         tests[item.nodeid.partition("[")[0]].append(item)
-    kept: set[pytest.Item] = set()
-    for test, cases in tests.items():
-        file, _, name = test.removeprefix("tests/").partition("::")
-        part = parts.get(file, {}).get(name)
-        kept.update(each_value(cases) if part is None else _part(test, cases, part))
-    return kept
+    return [item for cases in tests.values() for item in _of_test(cases)]
 
 
-def _part(test: str, cases: list[pytest.Item], part: Part) -> list[pytest.Item]:
-    if isinstance(part, int):
-        return spread(cases, part)
-    ids = {item.nodeid.partition("[")[2][:-1]: item for item in cases}
-    if unknown := set(part) - set(ids):
-        raise pytest.UsageError(f"tests/longer.toml: {test} has no case {sorted(unknown)}")
-    return [item for name, item in ids.items() if name not in part]
+def _of_test(cases: list[pytest.Item]) -> list[pytest.Item]:
+    quick = [each for each in cases if not each.get_closest_marker("slow")]
+    slow = [each for each in cases if each.get_closest_marker("slow")]
+    count = slow[0].get_closest_marker("slow").kwargs.get("but", 0) if slow else 0
+    return [*each_value(quick), *spread(slow, count)]
+
+
+def named(items: Iterable[pytest.Item], arguments: Iterable[str], folder: Path) -> set[pytest.Item]:
+    """Those that arguments of a command in that folder name with `::`."""
+    wanted: dict[Path, set[str]] = defaultdict(set)
+    for file, _, name in (each.partition("::") for each in arguments if "::" in each):
+        wanted[Path(os.path.abspath(folder / file))].add(name)  # noqa: PTH100
+    return {
+        item
+        for item in items
+        if item.path in wanted and not wanted[item.path].isdisjoint(_names(item))
+    }
+
+
+def _names(item: pytest.Item) -> list[str]:
+    """Of the case, of its test, and of classes around it."""
+    case = item.nodeid.partition("::")[2]
+    test = case.partition("[")[0].split("::")
+    return [case, *("::".join(test[: number + 1]) for number in range(len(test)))]
 
 
 def spread(cases: Sequence[Case], count: int) -> list[Case]:

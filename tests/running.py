@@ -7,8 +7,11 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 
 import pytest
+from coverage import Coverage
 
 from pqsec_pki.cli import main
+
+ROOT = Path(__file__).parents[1]
 
 
 def clean_environment(**extra: str) -> dict[str, str]:
@@ -42,3 +45,13 @@ def run_here(
         finally:
             os.umask(mask)
         return end.value.code, out.getvalue().decode(), err.getvalue().decode()
+
+
+def measured_too() -> dict[str, str]:
+    """Variables with which the coverage of a process is measured; none if that of tests is not."""
+    if Coverage.current() is None:
+        return {}
+    return {
+        "COVERAGE_PROCESS_START": str(ROOT / "tests/processes.coveragerc"),
+        "COVERAGE_FILE": str(ROOT / ".coverage"),
+    }

@@ -23,8 +23,7 @@ import pytest
 from pqsec_pki.algorithms import PROFILES
 from pqsec_pki.cli import pqsec as PQSEC  # noqa: N812 -- a fixture has that name
 from pqsec_pki.cli._printing import JSON_VERSION
-from tests.measured import measured_too
-from tests.running import clean_environment, run_here
+from tests.running import clean_environment, measured_too, run_here
 
 NAMES = [profile.name for profile in PROFILES]
 PARTICIPANTS = ("/talker", "/listener")

@@ -322,6 +322,7 @@ def renewed(template: Path, place: Path) -> Iterator[None]:
             copy(template / "k", place / "k")
 
 
+@pytest.mark.slow(but=97)
 @pytest.mark.parametrize(("words", "opened"), tried(is_path))
 def test_files_that_cannot_be_liked(template, place, run_in, words, opened):
     found = []

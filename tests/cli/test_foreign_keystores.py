@@ -248,6 +248,7 @@ def foreign(tmp_path, usual):
     return make
 
 
+@pytest.mark.slow(but=15)
 @pytest.mark.parametrize("command", READING)
 def test_a_command_that_reads_alters_no_keystore_and_nothing_beside_it(command, foreign, pqsec):
     found, turn = [], list(READING).index(command)

@@ -286,7 +286,6 @@ def test_a_matrix_is_for_twenty(pqsec, keystore):
     assert LAST.fullmatch(last).groups() == ("21", "210", "210", "0", "0", "209")
 
 
-@pytest.mark.slow
 def test_processes_change_nothing_in_the_result(pqsec, keystore):
     keystore()
     pqsec("-k k issue --publish x", *(f"/n{number}" for number in range(12))).done()
@@ -364,7 +363,6 @@ def terminal():
             each.process.wait()
 
 
-@pytest.mark.slow
 def test_at_a_terminal_it_counts_participants_and_pairs(terminal, pqsec, keystore, tmp_path):
     """So many that each count is drawn: a single pair may be done before."""
     keystore()
@@ -375,7 +373,6 @@ def test_at_a_terminal_it_counts_participants_and_pairs(terminal, pqsec, keystor
     assert " of 66 pairs, " in said
 
 
-@pytest.mark.slow
 def test_json_at_a_terminal_stays_json(terminal, keystore, tmp_path):
     keystore()
     code, said = terminal(tmp_path, f"{ALL} --json").end()
@@ -392,7 +389,6 @@ def crowd(run_in, tmp_path_factory):
     return folder
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("moment", [b" participants, ", b" pairs, "])
 def test_an_interrupt_ends_all_processes_quietly(terminal, crowd, moment):
     before = snapshot(crowd)
@@ -408,7 +404,6 @@ def test_an_interrupt_ends_all_processes_quietly(terminal, crowd, moment):
     assert snapshot(crowd) == before
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", [signal.SIGTERM, signal.SIGKILL])
 def test_a_kill_leaves_no_process_behind(terminal, crowd, kind):
     running = terminal(crowd, f"{ALL} --jobs 2")

@@ -265,6 +265,7 @@ def pin(run_in, folder: Path, role: str) -> str:
     return next(each for each in pins if each.startswith(role))
 
 
+@pytest.mark.slow(but=18)
 @pytest.mark.parametrize("path", [path for path in ALL if path not in ELSEWHERE])
 def test_the_examples_of_a_command_work(run_in, made, tmp_path, path):
     faults = []

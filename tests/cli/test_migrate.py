@@ -1,5 +1,7 @@
 """pqsec migrate plan on the command line."""
 
+import pytest
+
 from tests.unit.test_migration import DOMAIN
 
 
@@ -51,6 +53,7 @@ def test_a_plan_that_gives_up_no_protection_does_not_say_so(keystore, pqsec):
         assert "protects less" not in result.err
 
 
+@pytest.mark.slow
 def test_a_rehearsal_that_fails_ends_with_1(keystore, pqsec):
     root = keystore("classical")
     topics = "".join(f" --publish rt/some/very/long/topic/name/number{n:06d}" for n in range(3650))

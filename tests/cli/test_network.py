@@ -23,8 +23,6 @@ from tests.some_keys import some_key
 from tests.unit.est_server import serving
 from tests.unit.tls_sides import certificate, identity, pin
 
-pytestmark = pytest.mark.slow
-
 SYSTEMD = shutil.which("systemd-analyze")
 ROBOT = "/fleet/robot1"
 DAY = timedelta(days=1)

@@ -237,6 +237,7 @@ def run(example, place, run_in):
             )  # fmt: skip
 
 
+@pytest.mark.slow(but=42)
 @pytest.mark.parametrize("rule", rules("commands"))
 def test_an_example_with_commands(rule, place, run_in, requires):
     requires(shutil.which("openssl"), "OpenSSL", "apt install openssl")

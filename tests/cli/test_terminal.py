@@ -252,6 +252,7 @@ LONG = {
 """Command -> a command line of it that takes over a second for some keystore, log or fleet."""
 
 
+@pytest.mark.slow(but=8)
 @pytest.mark.parametrize("command", LONG)
 def test_a_terminal_shows_that_a_command_works_and_how_long(terminal, pqsec, keystore, command):
     keystore("classical")

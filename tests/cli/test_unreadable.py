@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-import pqsec_pki.cli
+import pqsec_pki
 from tests.cli.conftest import Result
 
 NOBODY = 65534
@@ -70,9 +70,11 @@ def _open(root: Path) -> None:
 @pytest.fixture
 def as_nobody(run_in, shared):
     """as_nobody("-k k ca show") runs the command as another user."""
-    modules = pkgutil.iter_modules(pqsec_pki.cli.__path__, "pqsec_pki.cli.")
-    for name in (*LATE, *(module.name for module in modules)):
-        import_module(name)  # the other user may not be let in to where we lie
+    modules = pkgutil.walk_packages(pqsec_pki.__path__, "pqsec_pki.")
+    names = (each.name for each in modules if not each.name.startswith("pqsec_pki.ros."))
+    for module in map(import_module, (*LATE, *names)):
+        for name in getattr(module, "__all__", ()):  # what rooms load on demand
+            getattr(module, name, None)  # the other user may not be let in to where we lie
 
     def run(line: str) -> Result:
         reading, writing = os.pipe()

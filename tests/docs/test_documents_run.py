@@ -202,8 +202,10 @@ def _found(program: str) -> str | None:
 
 
 def _parameter(path: Path) -> object:
-    others = any(others_in(command.text) for command in commands_in(path))
+    others = {other for command in commands_in(path) for other in others_in(command.text)}
     marks = [pytest.mark.interop] if others else []
+    if others - {"openssl"}:  # it compiles, or waits for stacks
+        marks.append(pytest.mark.slow)
     return pytest.param(path, marks=marks, id=str(path.relative_to(ROOT)))
 
 
@@ -225,7 +227,6 @@ def session(tmp_path, programs):
     made.end()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("path", WITH_COMMANDS)
 def test_the_commands_of_a_document_do_what_it_says(path, session, requires):
     if path.parent.parent.name == "examples":

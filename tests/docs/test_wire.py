@@ -441,7 +441,6 @@ def test_limits():
     assert {row["Limit"]: int(row["Value"]) for row in TABLES.table("Limit")} == due
 
 
-@pytest.mark.slow
 def test_sizes_are_those_that_are_measured(now):
     measured = wire_sizes.measured_suites(now)
     for row in MEASURED.table("Profile", "c.dsign_algo"):

@@ -41,6 +41,7 @@ def secrets(folder):
         yield b64decode("".join(lines)).hex()[-64:]
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", NAMES)
 def test_the_demo_makes_a_domain_and_proves_it(run, tmp_path, profile):
     code, out, err = run("demo", "--profile", profile)
@@ -55,6 +56,7 @@ def test_the_demo_makes_a_domain_and_proves_it(run, tmp_path, profile):
     assert (code, err) == (0, "")
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("profile", NAMES)
 def test_no_private_key_is_shown(run, tmp_path, profile):
     shown = ""
@@ -77,6 +79,7 @@ def test_the_demo_is_transition_unless_asked_and_tells_json(run):
     assert told["handshake"]["ok"] is True
 
 
+@pytest.mark.slow
 def test_a_second_demo_is_refused_and_changes_nothing(run, tmp_path):
     assert run("demo")[0] == 0
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
@@ -92,6 +95,7 @@ def test_a_second_demo_is_refused_and_changes_nothing(run, tmp_path):
     assert "`pqsec demo pqsec-demo-3`" in run("demo")[2]
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("arguments", "folder"),
     [
@@ -112,6 +116,7 @@ def test_the_demo_is_in_the_folder_named_or_the_keystore_named_or_its_own(
     assert [path.name for path in tmp_path.iterdir()] == [folder]
 
 
+@pytest.mark.slow
 def test_the_steps_that_the_demo_prints_run_as_they_are_but_for_the_passphrase(run):
     _, out, _ = run("demo", "--profile", "pq")
     steps = [line.split()[1:] for line in out.splitlines() if line.startswith("  pqsec -k")]

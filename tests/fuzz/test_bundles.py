@@ -12,7 +12,6 @@ from tests.fuzz import bundles, mutation
 from tests.fuzz.targets import TARGETS
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
     pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
 ]
@@ -26,6 +25,7 @@ def rng_of(name):
     return random.Random(name)  # noqa: S311 -- the same each time
 
 
+@pytest.mark.slow(but=20)
 @pytest.mark.parametrize("name", bundles.TARGETS)
 @pytest.mark.parametrize("trick", dict.fromkeys(bundles.TRICKS), ids=lambda each: each.__name__)
 def test_a_trick_ends_in_a_refusal_or_in_nothing_else_than_was_issued(name, trick, monkeypatch):

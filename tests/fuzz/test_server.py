@@ -15,6 +15,7 @@ pytestmark = [
 RUNS = 200
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("name", server.TARGETS)
 def test_what_is_spoilt_is_answered_or_refused(name):
     target, rng = TARGETS[name], random.Random(name)  # noqa: S311 -- the same each time

@@ -103,6 +103,7 @@ def stop(process):
     return process.wait(timeout=PATIENCE)
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_agent_is_built_and_answers_whoever_shares_its_folder(builder):
     image = builder.build("agent")
@@ -116,6 +117,7 @@ def test_the_agent_is_built_and_answers_whoever_shares_its_folder(builder):
     assert code == 128 + signal.SIGTERM
 
 
+@pytest.mark.slow
 @pytest.mark.timeout(1800)
 def test_the_server_is_built_and_listens(builder):
     image = builder.build("server")

@@ -86,6 +86,7 @@ def both(root):
     return [root / f"enclaves{name}" for name in NAMES]
 
 
+@pytest.mark.slow(but=1)
 def test_stacks_run_with_it_as_it_was_adopted_renewed_and_rotated(made, starts, now):
     done = adopt(made, now=now)
     assert done.participants == list(NAMES)
@@ -99,6 +100,7 @@ def test_stacks_run_with_it_as_it_was_adopted_renewed_and_rotated(made, starts, 
     audit(new.keystore)
 
 
+@pytest.mark.slow
 def test_who_is_revoked_after_that_is_in_openssls_list(made, openssl, now):
     keystore = adopt(made, now=now).keystore
     revoke(keystore, keystore.unlock(None), ["/alice"], now=now)

@@ -59,6 +59,7 @@ def balanced(program, folder, options):
             process.wait(PATIENCE)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     "options",
     ["send-proxy", "send-proxy-v2", "send-proxy-v2 proxy-v2-options crc32c,unique-id"],

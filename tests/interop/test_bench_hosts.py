@@ -41,6 +41,7 @@ def bench(*words, **environment):
     )
 
 
+@pytest.mark.slow
 def test_three_hosts_meet_where_frames_get_lost(stack):
     done = bench("--stack", stack, *LOSSY, "--timeout", "240", "--samples", "5", "--json")
     assert done.returncode == 0, done.stderr
@@ -56,6 +57,7 @@ def test_three_hosts_meet_where_frames_get_lost(stack):
     assert run["samples_lost"] is not None
 
 
+@pytest.mark.slow
 def test_hosts_send_the_version_of_messages_that_is_asked_for(stack):
     """Of the same participants, the second has fewer bytes; what knows one version has that."""
     words = ["--stack", stack, "--profile", "pq", "--rounds", "1", "--samples", "0", "--json"]
@@ -72,6 +74,7 @@ def test_hosts_send_the_version_of_messages_that_is_asked_for(stack):
     pytest.fail(f"the second version saves too little: {sent}")
 
 
+@pytest.mark.slow
 def test_without_security_and_without_loss_there_is_no_handshake(stack):
     done = bench("--stack", stack, "--plugins", "none", "--rounds", "2", "--format", "csv")
     rows = list(csv.DictReader(StringIO(done.stdout)))
@@ -83,11 +86,13 @@ def test_without_security_and_without_loss_there_is_no_handshake(stack):
     assert {row["run"] for row in rows} == {"", "1", "2"}
 
 
+@pytest.mark.slow(but=1)
 def test_hosts_with_other_credentials_than_the_stack_takes_are_refused(stack):
     done = bench("--stack", stack, "--plugins", "stock", "--profile", "pq", "--rounds", "1")
     assert (done.returncode, "for pqsec peers only" in done.stderr) == (1, True), done
 
 
+@pytest.mark.slow
 def test_what_is_measured_before_ctrl_c_is_printed(stack):
     """The first run ends; 9,999 are interrupted."""
     words = ["--stack", stack, "--plugins", "none", "--samples", "0", "--rounds", "10000"]
@@ -110,6 +115,7 @@ RIGHTS = {
 }
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("lack", RIGHTS)
 def test_without_its_rights_it_is_refused_before_anything_is_compiled(stack, lack, tmp_path):
     """As in a container, where root may do less."""
@@ -126,6 +132,7 @@ def test_without_its_rights_it_is_refused_before_anything_is_compiled(stack, lac
     assert not (tmp_path / "cache").exists()
 
 
+@pytest.mark.slow(but=1)
 def test_without_a_compiler_the_package_is_named(stack, tmp_path):
     done = bench("--stack", stack, PATH=str(tmp_path))
     assert done.returncode == 3

@@ -202,6 +202,7 @@ Cyclone DDS goes by the key that it has. 4 (AES256_GCM) has no such neighbour.
 """
 
 
+@pytest.mark.slow(but=2)
 @of_256_bits
 def test_cyclone_and_we_refuse_the_same_changed_bits_of_a_submessage(exchange, protection):
     pair = exchange.endpoints("reader", protection)

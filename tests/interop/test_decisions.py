@@ -153,6 +153,7 @@ def test_a_library_of_another_version_is_not_asked(plugins, tmp_path):
     assert plugins_of(tmp_path, "0.10") == tmp_path / "lib"
 
 
+@pytest.mark.slow(but=1)
 def test_a_stack_answers_as_its_reading(witness):
     tally = Tally(witness.interpretation)
     for seed in range(POLICIES):
@@ -166,6 +167,7 @@ def test_a_stack_answers_as_its_reading(witness):
     assert min(tally.answers[True], tally.answers[False]) > 30 * POLICIES, tally.answers
 
 
+@pytest.mark.slow
 def test_a_stack_finds_the_grants_of_a_subject_as_its_reading(witness, folder, now):
     tally, governance = Tally(witness.interpretation), Governance.protected(DomainSet.of(0))
     for parts in SUBJECTS:

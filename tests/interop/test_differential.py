@@ -29,6 +29,7 @@ def peers(openssl, openssl35):
         yield found
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.interop
 @pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
 @pytest.mark.parametrize("name", ["smime", "certificates", "lists", "requests", "keys"])

@@ -94,6 +94,7 @@ def test_libest_enrols_and_renews(est_clients, classical):
     assert first.read_bytes() != renewed.read_bytes()
 
 
+@pytest.mark.slow
 def test_bouncy_castle_enrols_and_renews_with_a_link_to_its_connection(
     est_clients, classical, requires
 ):

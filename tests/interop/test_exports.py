@@ -118,6 +118,7 @@ both = pytest.mark.parametrize(
 )
 
 
+@pytest.mark.slow(but=2)
 @both
 @pytest.mark.parametrize("profile", STOCK)
 def test_a_participant_starts_with_what_is_written(start, stack, own, exported, profile):
@@ -155,6 +156,7 @@ def test_cyclone_replaces_nothing_in_a_passphrase(cyclone, own, exported):
     assert cyclone(exported("cyclonedds", keystore, password=secret)).returncode == 0
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("secret", [*SECRETS, " spaces around "])
 def test_cyclone_reads_the_passphrase_from_the_environment(cyclone, own, exported, secret):
     keystore = own()

@@ -105,6 +105,7 @@ NOT_TAKEN = {
 }
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("kinds", TAKEN, ids=" for ".join)
 def test_two_participants_whose_ca_has_another_kind_of_key_agree(labs, enclave, meet, now, kinds):
     lab = labs("classical")

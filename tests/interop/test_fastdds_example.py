@@ -64,6 +64,7 @@ def profiles(tmp_path, now):
     return profile
 
 
+@pytest.mark.slow
 def test_it_runs_secured_and_who_has_no_credentials_gets_nothing(hello, profiles, tmp_path):
     talker, listener = profiles("talker"), profiles("listener")
     unsecured = tmp_path / "open.xml"

@@ -115,6 +115,7 @@ def said_of(went) -> str:
     return IN_THE_CLEAR if went.wire.readable else SECURED
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root sees the wire")
 @pytest.mark.parametrize(("where", "variant"), CASES)
 def test_a_profile_that_is_not_secured_is_reported(outcome, where, variant):

@@ -60,6 +60,7 @@ def test_what_is_learned_is_enough_to_run_secured(nodes, traced, tmp_path, now):
     assert "rt/chatter" in outcome.log
 
 
+@pytest.mark.slow
 def test_a_trace_of_a_secured_domain_confirms_what_is_granted(nodes, traced, tmp_path, now):
     """An authenticated participant sees the topics of the others."""
     crew = Crew.create(tmp_path / "crew", LAB_PROFILES["transition"], now)

@@ -47,6 +47,7 @@ def key():
     return ec.generate_private_key(ec.SECP256R1())
 
 
+@pytest.mark.slow(but=5)
 @pytest.mark.parametrize("name", names(), ids=str)
 def test_a_subject_is_spelled_as_openssl_spells_it(name, key, openssl, put):
     now = datetime.now(UTC)

@@ -51,6 +51,7 @@ def openssl_for(request):
     return choose
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("name", CLASSICAL + ML_DSA)
 def test_openssl_reads_our_keys(openssl_for, put, name):
     openssl, key = openssl_for(name), fresh_key(name)
@@ -62,6 +63,7 @@ def test_openssl_reads_our_keys(openssl_for, put, name):
     openssl.refuses(*public, encrypted, "-passin", "pass:wrong")
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("name", CLASSICAL + ML_DSA)
 def test_we_read_openssl_keys(openssl_for, put, name):
     openssl = openssl_for(name)
@@ -76,6 +78,7 @@ def test_we_read_openssl_keys(openssl_for, put, name):
     assert load_private_key(der).public_key.spki == spki
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("name", CLASSICAL + ML_DSA)
 def test_we_read_keys_that_openssl_encrypted(openssl_for, put, name):
     openssl = openssl_for(name)
@@ -184,6 +187,7 @@ def check(made, signed, document, require):
         verify(signed, made.certificate, require=Require.BOTH)
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize(
     "options",
     [
@@ -203,6 +207,7 @@ def test_we_verify_documents_that_openssl_signed(ca_of, document, name, command,
     check(made, made.sign(document, *options, command=command), document, Require.CLASSICAL)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", ["ecdsa-p384", "rsa-3072"])
 def test_we_verify_documents_signed_with_larger_keys(ca_of, document, name):
     made = ca_of(name)
@@ -243,6 +248,7 @@ def test_a_document_signed_without_text_is_refused_with_the_way_out(ca_of, docum
     assert "-text" in str(refusal.value.hint)
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("name", CLASSICAL + ML_DSA)
 def test_we_verify_chains_that_openssl_made(ca_of, tmp_path, now, name):
     made, soon = ca_of(name), now + timedelta(hours=1)

@@ -33,6 +33,7 @@ def fnmatch(requires):
     locale.setlocale(locale.LC_ALL, before)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("covers", "flags"),
     [(_patterns.posix, 0), (_patterns.posix_without_escapes, FNM_NOESCAPE)],

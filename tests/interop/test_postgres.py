@@ -507,6 +507,7 @@ for number in range(2):
 """
 
 
+@pytest.mark.slow
 def test_eight_writers_on_two_machines_make_one_chain(first, second):
     roots = [each.root for _ in range(4) for each in (first, second)]
     commands = [
@@ -594,6 +595,7 @@ def test_a_ledger_is_moved_into_a_database_and_back(tmp_path, cluster, database)
     check_whole(keystore, other)
 
 
+@pytest.mark.slow
 def test_a_move_that_is_killed_at_any_call_is_made_or_not(tmp_path, cluster):
     original, moved = tmp_path / "original", []
     create(original)

@@ -73,6 +73,7 @@ def settle(*machines: Keystore) -> None:
     check_whole(*machines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kills", [2, 12])
 def test_a_server_that_is_killed_loses_and_doubles_nothing(own, tmp_path, kills):
     first = create(tmp_path / "first", own.address(own.database()))
@@ -90,6 +91,7 @@ def test_a_server_that_is_killed_loses_and_doubles_nothing(own, tmp_path, kills)
     assert [len(each.names()) for each in (first, second)] == [count, count]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kills", [6, 60])
 def test_writers_that_are_killed_lose_and_double_nothing(own, tmp_path, kills):
     first = create(tmp_path / "first", own.address(own.database()))
@@ -108,6 +110,7 @@ def test_writers_that_are_killed_lose_and_double_nothing(own, tmp_path, kills):
 # Backups
 
 
+@pytest.mark.slow
 def test_a_server_restored_from_an_older_backup_shows(own, tmp_path):
     first = create(tmp_path / "first", own.address(own.database()))
     issue_to(first.root, "/alice")
@@ -216,6 +219,7 @@ def test_a_server_that_tls_does_not_authenticate_is_refused(
         assert not (tmp_path / "k/pqsec.json").exists()
 
 
+@pytest.mark.slow
 def test_a_server_without_tls_is_refused(own, tmp_path):
     url = over_tls(own, own.database(), tmp_path / "ca.pem")
     (tmp_path / "ca.pem").write_text("")

@@ -39,6 +39,7 @@ def test_openssl_takes_our_request(openssl35, tmp_path, profile):
     assert openssl35("pkey", "-in", made.path.parent / "key.pem", "-pubout") == public
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("profile", KEYS)
 def test_a_robot_whose_keys_openssl_made_is_enrolled(openssl35, tmp_path, now, profile):
     robot = tmp_path / "robot"

@@ -59,6 +59,7 @@ def checked(folder, crl="crl.pem"):
     return ("verify", *options, folder / "cert.pem")
 
 
+@pytest.mark.slow(but=4)
 @each_judge
 def test_openssl_refuses_whom_the_list_names_and_nobody_else(revoked, any_openssl, profile):
     lab = revoked(profile)

@@ -148,17 +148,20 @@ TAKING_PART = ["fastdds", "fastdds of trixie", "cyclonedds with plugin"]
 SWITCHING = ["cyclonedds", "cyclonedds of trixie"]
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("fleet", TAKING_PART, indirect=True)
 def test_a_robot_meets_those_of_the_round_before_and_after(fleet):
     assert fleet.failures(*NEIGHBOURS) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fleet", TAKING_PART, indirect=True)
 def test_who_missed_a_round_is_refused(fleet):
     with ThreadPoolExecutor(AT_ONCE) as pool:
         assert all(pool.map(lambda pair: fleet.refused(*pair), APART))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fleet", SWITCHING, indirect=True)
 def test_cyclones_own_plugins_trust_who_issues_alone(fleet):
     assert fleet.failures(("old", "begun"), ("switched", "finished")) == []
@@ -222,6 +225,7 @@ def permissions_fleet(stack_in, permissions_rounds, tmp_path, now):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("where", "name", "gap"),
     [

@@ -92,6 +92,7 @@ def test_an_enclave_that_is_not_there_is_named(node, keystore):
     assert explained(run) == ["SECURITY ERROR: directory '{folder}' does not exist"]
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("value", ["1", "True", "TRUE", "yes", "' true'"])
 def test_another_word_than_true_runs_unsecured_and_silently(node, value):
     run = node(f"export ROS_SECURITY_ENABLE={value}", NOBODY)
@@ -99,6 +100,7 @@ def test_another_word_than_true_runs_unsecured_and_silently(node, value):
     assert "ecur" not in run.said
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("value", ["enforce", "ENFORCE", "true", "''"])
 def test_another_word_than_enforce_runs_unsecured_without_an_enclave(node, value):
     assert node(f"export ROS_SECURITY_STRATEGY={value}", NOBODY).lives

@@ -71,6 +71,7 @@ def test_two_nodes_talk_and_nobody_can_read_it(nodes, role, crew, requires):
     assert not wire.readable
 
 
+@pytest.mark.slow
 def test_without_the_script_the_text_can_be_read(nodes, requires):
     talker = nodes.role(Does.SEND, "/talker", text=unique_text())
     went = nodes.run_peers(talker, nodes.role(Does.RECEIVE, "/listener"))
@@ -78,6 +79,7 @@ def test_without_the_script_the_text_can_be_read(nodes, requires):
     assert requires(went.wire, "a wire to watch", "run the tests as root").readable
 
 
+@pytest.mark.slow(but=1)
 def test_an_unsecured_node_gets_nothing_while_a_secured_one_does(nodes, role):
     talker = role(Does.SEND, "/talker", text=unique_text())
     plain = nodes.role(Does.RECEIVE, "/plain", unauthenticated=True)
@@ -87,6 +89,7 @@ def test_an_unsecured_node_gets_nothing_while_a_secured_one_does(nodes, role):
     assert went.outcomes[2].received is None
 
 
+@pytest.mark.slow
 def test_a_secured_node_takes_nothing_from_an_unsecured_one(nodes, role):
     plain = nodes.role(Does.SEND, "/plain", text=unique_text())
     went = nodes.run_peers(plain, role(Does.RECEIVE, "/listener"), seconds=REFUSAL)
@@ -94,6 +97,7 @@ def test_a_secured_node_takes_nothing_from_an_unsecured_one(nodes, role):
     assert went.outcomes[1].received is None
 
 
+@pytest.mark.slow
 def test_a_node_of_another_keystore_with_the_same_names_gets_nothing(nodes, role, tmp_path, now):
     rogue = Crew.create(tmp_path, LAB_PROFILES["transition"], now)
     listener = nodes.role(Does.RECEIVE, "/listener", script=rogue.script("/listener"))
@@ -112,6 +116,7 @@ def test_a_topic_that_is_not_granted_ends_the_node(lives):
     assert not ended(outcome)
 
 
+@pytest.mark.slow
 def test_many_nodes_live_in_one_enclave(lives):
     names = ["/robot/drive", "/robot/sensors/imu", "/robot/watchdog"]
     assert ended(lives(Does.IDLE, *names, enclave="/robot/base"))
@@ -130,6 +135,7 @@ def test_a_node_that_the_enclave_does_not_name_ends(lives):
     assert not ended(outcome)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("does", "name"), [(Does.CLOCK, "/clocked"), (Does.MANAGED, "/managed")], ids=str
 )
@@ -138,6 +144,7 @@ def test_the_words_of_a_policy_are_enough_for(lives, does, name):
     assert ended(outcome), outcome.log
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("does", "topic"),
     [(Does.CLOCK, "rt/clock"), (Does.MANAGED, "rt/talker/transition_event")],
@@ -149,12 +156,14 @@ def test_without_these_words_the_node_ends(lives, does, topic):
     assert not ended(outcome)
 
 
+@pytest.mark.slow
 def test_parameters_of_another_node_can_be_read(nodes, role):
     server, client = role(Does.IDLE, "/talker"), role(Does.CALL, "/tuner")
     went = nodes.run_peers(client, server, topic="/talker")
     assert "use_sim_time" in (went.outcomes[0].received or ""), went.outcomes
 
 
+@pytest.mark.slow
 def test_an_action_works(nodes, role):
     went = nodes.run_peers(role(Does.ACT, "/guest"), role(Does.SERVE, "/cook"), topic="/cook")
     assert went.outcomes[0].received == "[1, 1, 2]", went.outcomes
@@ -175,6 +184,7 @@ def migrated(request, crew):
     return request.param
 
 
+@pytest.mark.slow(but=1)
 def test_a_policy_of_sros2_is_enough_once_it_is_completed(lives, migrated):
     """It has what SROS2's samples have for each node; the nodes are in namespaces."""
     names = ["/robot1/planner", "/robot1/costmap/costmap", "/robot1/manager"]
@@ -183,6 +193,7 @@ def test_a_policy_of_sros2_is_enough_once_it_is_completed(lives, migrated):
     assert migrated or DENIED.format(topic="rt/rosout") in outcome.log
 
 
+@pytest.mark.slow
 def test_a_node_that_was_revoked_is_let_in_by_none_with_the_list(nodes, tmp_path, now):
     """It has hidden the list from itself: with it, it would not start."""
     crew = Crew.create(tmp_path, LAB_PROFILES["transition"], now)
@@ -203,7 +214,7 @@ NEEDED = [
 ]
 
 
-@pytest.mark.slow
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(("way", "topic"), NEEDED)
 def test_a_node_without_one_of_its_topics_ends(lives, crew, way, topic):
     """That each is needed is measured, and that no other is: the other tests' nodes live."""
@@ -218,6 +229,7 @@ def test_a_node_without_one_of_its_topics_ends(lives, crew, way, topic):
     assert denied in outcome.log
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", SIX)
 def test_one_of_the_six_files_is_missing_and_not_named(nodes, role, crew, name):
     starting = role(Does.IDLE, "/talker")

@@ -6,6 +6,8 @@ import shutil
 import subprocess
 from datetime import UTC, datetime
 
+import pytest
+
 from pqsec_pki.certificates import Certificate
 from tests.unit.serving import HOST, Robot, Server
 
@@ -19,6 +21,7 @@ def run(folder, *command, data=None):
     return done.returncode, done.stdout, done.stderr
 
 
+@pytest.mark.slow
 def test_curl_and_openssl_enrol_and_renew_by_est(requires, tmp_path):
     """Debian's own: OpenSSL 3.0 and TLS 1.3 without ML-KEM, so `classical: true`."""
     server = Server(

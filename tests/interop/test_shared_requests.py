@@ -148,6 +148,7 @@ def test_a_request_that_waits_at_one_server_waits_at_the_other(servers, tmp_path
         audit(each.keystore)
 
 
+@pytest.mark.slow(but=1)
 def test_a_request_that_is_refused_at_one_server_is_refused_at_the_other(servers, tmp_path):
     first, second = servers
     robot = Robot(second, tmp_path, "/fleet/r2")
@@ -157,6 +158,7 @@ def test_a_request_that_is_refused_at_one_server_is_refused_at_the_other(servers
     assert listed(second)["requests"] == []
 
 
+@pytest.mark.slow(but=1)
 def test_a_stranger_has_its_share_of_all_servers_once(servers, tmp_path):
     """Three requests of a name wait, whichever servers got them."""
     made = [Robot(servers[0], tmp_path / str(number), "/fleet/r3").request for number in range(5)]
@@ -167,6 +169,7 @@ def test_a_stranger_has_its_share_of_all_servers_once(servers, tmp_path):
     assert made[-1].fingerprint in found
 
 
+@pytest.mark.slow
 def test_requests_of_a_ledger_that_is_moved_while_its_server_runs_wait_where_it_is(
     cluster, tmp_path
 ):

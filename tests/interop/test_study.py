@@ -17,6 +17,7 @@ STUDY = Path(__file__).parents[2] / "examples/study/study.py"
 MISSING = float("inf")
 
 
+@pytest.mark.slow
 @pytest.mark.interop
 @pytest.mark.parametrize("stack", STACKS)
 def test_the_small_matrix_ends_with_tables_and_plots(stack, requires, tmp_path):

@@ -28,6 +28,7 @@ def created(token, *options, profile="classical"):
     return token.folder / "k"
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("kind", [(), RSA], ids=["EC", "RSA"])
 def test_openssl_and_cyclone_dds_accept_what_a_token_signs(token, openssl, plugins, kind):
     keystore = created(token, *kind)
@@ -72,6 +73,7 @@ def test_a_pin_is_in_no_file_and_in_no_output(token):
     assert not [path for path in files if PIN.encode() in path.read_bytes()]
 
 
+@pytest.mark.slow
 def test_a_second_certificate_of_ml_dsa_may_stay_in_a_file(token):
     """transition: the token has the EC keys, and files the ML-DSA keys."""
     keystore = created(token, "--no-passphrase", profile="transition")
@@ -90,6 +92,7 @@ def test_a_key_that_is_in_the_token_is_used_as_it_is(token):
     assert token.objects().count("Private Key Object") == 2
 
 
+@pytest.mark.slow
 def test_one_key_for_two_cas_is_refused(token):
     same = ("--identity-key-uri", IDENTITY, "--permissions-key-uri", IDENTITY)
     token.pqsec("ca", "init", "--profile", "classical", *same, exit_code=2)
@@ -97,6 +100,7 @@ def test_one_key_for_two_cas_is_refused(token):
     assert token.objects() == ""
 
 
+@pytest.mark.slow
 def test_a_key_of_another_kind_is_refused_and_what_was_made_is_removed(token):
     as_user = ("--token-label", "lab", "--login", "--pin", PIN)
     token.tool(*as_user, "--keypairgen", "--key-type", "EC:secp384r1", "--label", "permissions-ca")
@@ -105,12 +109,14 @@ def test_a_key_of_another_kind_is_refused_and_what_was_made_is_removed(token):
     assert token.objects().count("Private Key Object") == 1
 
 
+@pytest.mark.slow
 def test_keys_that_were_made_are_removed_if_the_keystore_is_not(token):
     said = token.pqsec("ca", "init", "--profile", "classical", *BOTH, "--name", "ü", exit_code=2)
     assert "characters" in said
     assert token.objects() == ""
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("profile", "words"),
     [("hybrid", "no token signs as"), ("pq", "has no keys of this algorithm")],
@@ -149,6 +155,7 @@ def test_a_wrong_pin_is_tried_once(token):
     token.pqsec("issue", "talker")
 
 
+@pytest.mark.slow
 def test_many_are_issued_with_one_login(token):
     created(token)
     log = token.folder / "spy.log"
@@ -160,6 +167,7 @@ def test_many_are_issued_with_one_login(token):
     assert calls.count("C_Sign") >= 2 * len(names)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("given", ["environment", "URI"])
 def test_without_a_pin_the_error_says_where_it_can_stand(token, given):
     created(token)
@@ -174,6 +182,7 @@ def test_without_a_pin_the_error_says_where_it_can_stand(token, given):
     token.pqsec("issue", "talker", PQSEC_PIN_FILE="")
 
 
+@pytest.mark.slow
 def test_a_token_that_is_away_is_told(token):
     created(token)
     (token.folder / "tokens").rename(token.folder / "elsewhere")
@@ -230,6 +239,7 @@ def test_a_key_that_is_not_the_certificates_is_refused(token):
     assert "does not match the certificate" in token.pqsec("issue", "talker", exit_code=3)
 
 
+@pytest.mark.slow
 def test_new_keys_follow_into_the_token_or_the_command_refuses(token):
     created(token)
     said = token.pqsec("ca", "rotate", "--apply", "--yes", exit_code=2)
@@ -251,6 +261,7 @@ def test_new_keys_follow_into_the_token_or_the_command_refuses(token):
     assert token.answer("ca", "show")["key_uris"] == {}
 
 
+@pytest.mark.slow
 def test_the_steps_of_an_overlap_use_the_token(token):
     created(token)
     token.pqsec("issue", "talker", "--publish", "chatter")

@@ -41,6 +41,7 @@ def in_use(token):
     return token.folder / "credentials/current/enclaves/robot"
 
 
+@pytest.mark.slow
 def test_a_key_in_the_robots_token_is_requested_certified_and_installed(ca, openssl):
     assert f"{URI} was generated" in requested(ca, *IN_TOKEN)
     openssl("req", "-verify", "-noout", "-in", ca.folder / CSR)

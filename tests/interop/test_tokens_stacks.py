@@ -62,6 +62,7 @@ def test_stock_fast_dds_refuses_without_its_engine(fastdds, pair):
     assert "Error retrieving 'pkcs11' engine" in logs(went)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("end", ["", "\n"])
 def test_stock_fast_dds_reads_the_pin_in_a_file_without_a_line_end(fastdds, token, end):
     """With one, it logs in with another PIN."""
@@ -79,11 +80,13 @@ def test_stock_fast_dds_reads_the_pin_in_a_file_without_a_line_end(fastdds, toke
         assert met(went), logs(went)
 
 
+@pytest.mark.slow
 def test_cyclone_dds_and_fast_dds_meet_with_our_plugin_and_keys_in_a_token(fastdds, pair):
     said = pair.pqsec("try", "cyclonedds,fastdds", *NAMES, "--plugin", HOME=str(pair.home))
     assert "the sample cannot be read in" in said
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("stack", ["cyclonedds", "opendds", "connext", "ros2"])
 def test_an_export_for_a_plugin_that_takes_no_token_is_refused(pair, stack):
     said = pair.pqsec("export", stack, "alice", "-o", "there", exit_code=1, **NO_TOKEN)
@@ -91,6 +94,7 @@ def test_an_export_for_a_plugin_that_takes_no_token_is_refused(pair, stack):
     assert not (pair.folder / "there").exists()
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(
     ("line", "exit_code", "words"),
     [

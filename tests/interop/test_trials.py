@@ -94,6 +94,7 @@ def runs(laboratory, installations) -> Runs:
     pool.shutdown(cancel_futures=True)
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize(("stack", "name"), PAIRS)
 def test_two_participants_meet_or_are_refused_as_they_should(installation, runs, stack, name):
     case, which, report = CASES[name], installation(stack), runs.report(stack, name)
@@ -112,6 +113,7 @@ def test_two_participants_meet_or_are_refused_as_they_should(installation, runs,
     assert report.sender.signal is None
 
 
+@pytest.mark.slow(but=15)
 @pytest.mark.parametrize(("stack", "name"), PAIRS)
 def test_what_a_refusal_says_comes_with_a_remedy(installation, runs, stack, name):
     if CASES[name].expected(installation(stack)) is None:
@@ -135,6 +137,7 @@ def test_a_sample_can_be_read_on_the_wire_only_where_nothing_protects_it(
         assert (wire.readable > 0) is CASES[name].is_open, name
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("stack", STACKS)
 def test_strangers_hear_each_other_and_can_be_read_on_the_wire(
     installation, requires, tmp_path, stack
@@ -153,6 +156,7 @@ def test_strangers_hear_each_other_and_can_be_read_on_the_wire(
     assert wire.readable > 0
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("stack", STACKS)
 def test_a_stranger_that_sends_is_not_heard(installation, runs, stack):
     installation(stack)

@@ -86,6 +86,7 @@ def pqsec(command):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("number", "code"), [(0, 0)])
 def test_the_documents_show_what_it_prints(pqsec, number, code):
     line, _, expected = Document("reference/commands.md").block(TITLE, number).partition("\n")
@@ -97,6 +98,7 @@ def test_the_documents_show_what_it_prints(pqsec, number, code):
     assert doctest.OutputChecker().check_output(expected, printed, flags), printed
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("stack", STACKS)
 @pytest.mark.parametrize(
     ("more", "code", "accepted"),
@@ -115,6 +117,7 @@ def test_json_says_the_same_as_the_exit_code(pqsec, stack, more, code, accepted)
     assert bool(told["findings"]) is not accepted
 
 
+@pytest.mark.slow
 def test_json_says_who_ran_the_plugin(pqsec):
     """And who has Cyclone DDS's own does not meet a post-quantum peer that did not ask for it."""
     line = "pqsec try cyclonedds --plugin --stock listener /talker listener --json --timeout 4"
@@ -174,6 +177,7 @@ def _copied(source: Path, goal: Path) -> None:
         shutil.copy2(source, goal, follow_symlinks=False)
 
 
+@pytest.mark.slow
 def test_of_two_cyclones_what_is_found_is_linked_run_and_told(
     pqsec, two_cyclones, tmp_path, monkeypatch
 ):
@@ -204,6 +208,7 @@ def peers(folder: Path) -> int:
     return there
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("how", "code"),
     [(signal.SIGINT, 130), (signal.SIGTERM, 143), (signal.SIGKILL, -9)],

@@ -64,6 +64,7 @@ def until_lists_are(servers, listed):
         time.sleep(0.5)  # the test has a time limit
 
 
+@pytest.mark.slow
 def test_each_server_answers_what_the_other_issued(servers, tmp_path):
     first, second = servers
     robot, token = Robot(first, tmp_path, "/fleet/r1"), first.token("/fleet/r1")
@@ -84,6 +85,7 @@ def test_each_server_answers_what_the_other_issued(servers, tmp_path):
         assert each.cli("check", check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_a_revocation_at_one_server_is_in_the_list_of_the_other(servers, tmp_path):
     first, second = servers
     robot = Robot(first, tmp_path, "/fleet/r2")
@@ -138,10 +140,12 @@ def test_files_of_another_machine_that_are_not_those_of_the_line_are_not_used(
         assert asking.get("/pqsec/v1/bundle").status == 200
 
 
+@pytest.mark.slow
 def test_of_two_servers_one_may_be_killed_in_the_middle(servers, tmp_path):
     enrolled_in_spite_of_kills(servers, tmp_path, [f"/fleet/r{number}" for number in range(4, 9)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ledger", ["file", "postgresql"])
 def test_of_two_servers_one_is_killed_again_and_again(cluster, tmp_path, ledger):
     names = [f"/fleet/r{number + 1}" for number in range(60)]

@@ -69,7 +69,7 @@ TESTS = {
         "sharing",
         "plugin_rights",
     ),
-    "approvals": ("approvals",),
+    "approvals": ("approvals", "registration", "domain_orders"),
     "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
     "server": (
         "serve_admission",
@@ -213,6 +213,7 @@ def options() -> argparse.ArgumentParser:
     parser.add_argument("--id", action="append", help="this mutant alone")
     parser.add_argument("--sample", type=int, help="so many, drawn by --seed")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--part", help="2/5 is the second of five parts, of few rooms")
     parser.add_argument("--jobs", type=int, default=1, help="so many at once")
     parser.add_argument("--minutes", type=float, help="start none after that")
     parser.add_argument("--list", action="store_true", help="say which there are, and run none")
@@ -244,6 +245,10 @@ def main() -> int:
     wanted = [each for each in every if not chosen.id or each.id in chosen.id]
     if chosen.sample is not None and chosen.sample < len(wanted):
         wanted = random.Random(chosen.seed).sample(wanted, chosen.sample)  # noqa: S311 -- a draw
+    if chosen.part:
+        part, parts = map(int, chosen.part.split("/"))
+        wanted = wanted[len(wanted) * (part - 1) // parts : len(wanted) * part // parts]
+        rooms = tuple(dict.fromkeys(each.room for each in wanted))
     if chosen.list:
         for each in wanted:
             print(each.id)

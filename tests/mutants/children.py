@@ -178,7 +178,8 @@ class Copy:
         sys.path[:] = [str(self.folder), *(each for each in sys.path if each not in {"", root})]
         os.environ["PYTHONPATH"] = str(self.folder)
         os.environ["PQSEC_LONG"] = "cases"  # any of them may kill
-        os.environ.pop("PYTEST_ADDOPTS", None)  # it is for the run that we may be a test of
+        for name in ("PYTEST_ADDOPTS", "PQSEC_PART"):  # of the run that we may be a test of
+            os.environ.pop(name, None)
         for name in [each for each in sys.modules if each.split(".")[0] in {"tests", PACKAGE}]:
             del sys.modules[name]
         # A mutant's bytecode must not outlive it.

@@ -168,6 +168,7 @@ def test_every_query_is_asked_and_described() -> None:
 # The second tool
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.interop
 @pytest.mark.timeout(1800)
 @pytest.mark.parametrize("scenario", bounded.SCENARIOS, ids=lambda each: each.name)

@@ -69,6 +69,7 @@ def test_what_is_said_of_a_pattern_holds_for_every_name(rules, name):
     assert bool(about) >= allowed(name)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", seeds(60, 6))
 def test_all_topics_at_once_are_decided_as_one_by_one(seed, now):
     [grant, *_] = Maker(seed).permissions(SUBJECT).grants

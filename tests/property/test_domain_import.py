@@ -92,6 +92,7 @@ PARTICIPANTS = st.lists(
 )
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(100), deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(PARTICIPANTS, st.none() | GOVERNANCES)
 def test_the_file_gives_each_participant_the_rules_it_had(participants, governance):
@@ -169,6 +170,7 @@ def text_of(root):
     return import_domain([root], now=NOW, domains=ZERO).document
 
 
+@pytest.mark.slow
 @settings(
     max_examples=60 if LONG else 6, deadline=None, suppress_health_check=[HealthCheck.too_slow]
 )

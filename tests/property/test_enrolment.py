@@ -29,7 +29,6 @@ from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
     pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
 ]

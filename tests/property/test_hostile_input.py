@@ -42,7 +42,6 @@ PASSPHRASE = b"horse"
 hostile = settings(max_examples=examples(250), suppress_health_check=list(HealthCheck))
 # cryptography warns of what it will refuse some day (NULL parameters, odd names).
 pytestmark = [
-    pytest.mark.slow,
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
     pytest.mark.filterwarnings("ignore:Attribute's length:UserWarning"),
 ]

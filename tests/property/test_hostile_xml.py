@@ -208,7 +208,7 @@ def met(reader, folder):
     return {name: (said, seconds) for name, said, seconds in lines}
 
 
-@pytest.mark.slow
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("reader", READERS)
 def test_every_reader_ends_soon_and_with_an_error_of_ours(reader, tmp_path_factory):
     results = met(reader, tmp_path_factory.mktemp(reader))

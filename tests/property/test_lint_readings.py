@@ -95,6 +95,7 @@ QUESTIONS = [
 ]
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     "interpretation", INTERPRETATIONS[1:], ids=lambda interpretation: interpretation.name
 )

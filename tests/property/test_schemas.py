@@ -219,6 +219,7 @@ def folder(tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("kind", FILES)
 def test_the_schema_takes_what_the_reader_takes_and_nothing_else(kind, folder):
     schema = schema_of(kind)

@@ -26,9 +26,8 @@ from pqsec_pki.enrolment import Bundle, pins_in_use, request
 from pqsec_pki.est import EnrolmentToken, ServerTrust, TlsIdentity, client_context, spki_pin
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.server import read_settings, record_token
-from tests.measured import measured_too
 from tests.ports import free_port
-from tests.running import clean_environment, run_here
+from tests.running import clean_environment, measured_too, run_here
 from tests.unit.tls_sides import certificate
 
 ROOT = Path(__file__).parents[2]

@@ -251,6 +251,7 @@ def peeled(attack, context, checks):
     raise AssertionError(f"{attack.name} is refused for ever: {layers}")
 
 
+@pytest.mark.slow(but=15)
 @pytest.mark.parametrize("attack", ATTACKS, ids=lambda row: row.name)
 def test_an_attack_succeeds_without_the_checks_that_its_row_names(context, monkeypatch, attack):
     """Each attempt is tried again without what refused it, until nothing does."""

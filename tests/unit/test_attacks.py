@@ -460,6 +460,7 @@ def test_an_attack_gets_through_where_the_policy_lets_it(context, name, policy, 
     assert any(each.startswith(what) for each in found)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("row", list(KEY_AGREEMENTS), ids=lambda row: row.name)
 def test_attacks_on_a_key_agreement_are_refused_whichever_it_is(setup, row):
     names = ("change-request", "change-reply", "key-in-the-middle", "downgrade")

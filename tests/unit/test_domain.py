@@ -65,7 +65,6 @@ def test_a_second_apply_touches_no_file(scene):
     assert stamps() == before
 
 
-@pytest.mark.slow
 def test_a_thousand_are_made_in_batches_and_found_in_order(tmp_path):
     scene = Scene(tmp_path)
     scene.change("1..3", "0001..1000")

@@ -26,8 +26,6 @@ from tests.unit.killing import (
 )
 from tests.unit.test_domain_orders import BOTH, OrderedLine
 
-pytestmark = pytest.mark.slow
-
 BEFORE = NOW - 60 * DAY
 NOT_MET = {
     *(StepAction.CREATE_CAS, StepAction.RENEW_CRL),
@@ -87,6 +85,7 @@ def check_ended(scene):
     audit(scene.keystore)
 
 
+@pytest.mark.slow
 def test_it_is_ended_by_the_next_whenever_the_kill_comes(place, monkeypatch):
     monkeypatch.setattr(import_module(APPLY), "BATCH", 1)
     (place / "original").mkdir()
@@ -127,6 +126,7 @@ def test_an_order_is_performed_whole_or_not_at_all_whenever_the_kill_comes(place
     assert set(outcomes) == {False, True}
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_is_ended_by_the_next(place):
     chance = random.Random("apply")  # noqa: S311 -- the same each time
     text = FILE.replace("1..3", "1..40")

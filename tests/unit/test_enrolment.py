@@ -54,8 +54,6 @@ from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR
 
-pytestmark = pytest.mark.slow
-
 
 @pytest.fixture(scope="module")
 def keystores(tmp_path_factory):
@@ -351,6 +349,7 @@ def test_a_manifest_that_names_other_cas_is_refused(good):
         Bundle.from_bytes(bad.pack())
 
 
+@pytest.mark.slow
 def test_a_bit_that_flips_anywhere_in_a_bundle_is_seen_or_changes_nothing(good):
     data = good.to_bytes()
     places = range(0, len(data), 11)

@@ -202,6 +202,7 @@ def slow(shown, *, handshake):
         thread.join()
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("handshake", [True, False])
 def test_a_server_that_drips_holds_nobody_beyond_the_limit(shown, handshake, monkeypatch):
     monkeypatch.setattr(client, "AGREEING", 1.0)
@@ -218,6 +219,7 @@ CONTINUE = b"HTTP/1.1 100 Continue\r\n\r\n"
 CHUNKED = b"HTTP/1.1 200 OK\r\nTransfer-Encoding: chunked\r\n\r\n"
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.timeout(60)
 @pytest.mark.parametrize(
     ("begin", "piece"),

@@ -37,8 +37,6 @@ from tests.unit.keystores import made
 from tests.unit.killing import NOW, YEAR, copies, fails_with
 from tests.unit.tls_sides import identity
 
-pytestmark = pytest.mark.slow
-
 SECRET = ("0123456789abcdef", "geheim")
 BASIC = "Basic MDEyMzQ1Njc4OWFiY2RlZjpnZWhlaW0="
 DUE = NOW + 300 * DAY
@@ -485,6 +483,7 @@ def renewing(outside, root):
     deliver_receipt(root)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", ["killed", errno.ENOSPC])
 @pytest.mark.parametrize("work", [enrolling, renewing])
 def test_stopped_at_any_instant_the_next_run_ends_it(outside, place, work, ends):

@@ -27,6 +27,7 @@ PQ = Scenario(participants=10, sizes=sizes_of(profile_named("pq")), costs=costs_
 FREE = Costs(0, 0, "nothing", stack=0, repeat=0, start=0)
 
 
+@pytest.mark.slow
 def test_the_models_agree_over_a_grid():
     """Times of meshes within a quarter, or a round; shares of pairs within a tenth of all
     pairs, or a fifth where all share a host."""
@@ -48,6 +49,7 @@ def test_the_models_agree_over_a_grid():
     assert faults == []
 
 
+@pytest.mark.slow
 def test_without_losses_and_work_a_pair_takes_the_timers_alone():
     alone = replace(PQ, costs=FREE)
     pairs = simulated(alone, 1).pairs
@@ -57,6 +59,7 @@ def test_without_losses_and_work_a_pair_takes_the_timers_alone():
     assert ClosedForm.of(alone).mesh(0.95) == pytest.approx(0.71, abs=0.1)
 
 
+@pytest.mark.slow
 def test_losses_delay_a_pair_as_expected():
     """The mean: rounds until the Request arrives, then until Reply and Final both do."""
     request, reply, final = 0.98**13, 0.98**16, 1 - (1 - 0.98**5) ** 2
@@ -102,6 +105,7 @@ def _delivered_before_full(size: int, loss: float) -> float:
     return IPFRAG_HIGH_THRESH / held / (1 - whole) * whole
 
 
+@pytest.mark.slow
 def test_memory_for_reassembly_that_is_full_delays_the_simulation():
     asked = replace(PQ, participants=40, loss=0.05, fragment=14_000, costs=FREE)
     tight = simulated(replace(asked, threshold=200_000), seed=1, most=800)
@@ -124,6 +128,7 @@ def test_sizes_are_those_of_handshakes():
             assert 0.99 * other <= one < 1.1 * other + 650, suite
 
 
+@pytest.mark.slow
 def test_a_seed_makes_it_the_same_and_large_fleets_take_no_more_events():
     asked = replace(PQ, participants=10_000, loss=0.01)
     one = simulated(asked, seed=5)
@@ -134,6 +139,7 @@ def test_a_seed_makes_it_the_same_and_large_fleets_take_no_more_events():
     assert len(ClosedForm.of(asked).turns) == len(ClosedForm.of(PQ).turns)
 
 
+@pytest.mark.slow
 def test_slower_processors_cost_a_busy_fleet_more_than_their_part():
     """Who waits longer repeats more: a mesh of 30 took a quarter longer on a machine that was a
     seventh slower (bench/README.md)."""
@@ -145,6 +151,7 @@ def test_slower_processors_cost_a_busy_fleet_more_than_their_part():
     assert note.startswith("each host computes for 10.8 s, on processors a tenth slower 12.8 s")
 
 
+@pytest.mark.slow
 def test_a_network_through_which_nothing_comes_is_told():
     lost = estimated(replace(PQ, loss=0.5, fragment=64), seed=1)
     assert lost.closed.mesh(0.5) is None

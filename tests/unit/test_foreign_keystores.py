@@ -142,7 +142,7 @@ def test_a_change_goes_through_no_link_that_lies_there(root, change):
     assert found == []
 
 
-@pytest.mark.slow
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("where", [*PLACES, ".journal", ".journal/spent", "private/ledger.sqlite3"])
 @pytest.mark.parametrize("change", ["issue again", "recover"])
 def test_a_change_goes_through_no_link_that_takes_a_folders_place_meanwhile(root, change, where):

@@ -43,8 +43,6 @@ from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import begin_overlap, made, rotate
 from tests.unit.killing import NOW, disturbed_calls, fails_with, survives
 
-pytestmark = pytest.mark.slow
-
 NOBODY = 65534
 
 
@@ -622,6 +620,7 @@ def test_killed_at_any_instant_the_first_bundle_is_there_or_nothing_is(robot, bu
     assert at_calls(robot, place, put, look) > 25
 
 
+@pytest.mark.slow
 def test_killed_at_any_instant_the_old_set_is_there_or_the_new_one(robot, bundles, place):
     put(robot)
     old, new = map(fingerprint, bundles[1:])
@@ -658,6 +657,7 @@ def test_killed_at_any_instant_a_rollback_is_done_or_not_begun(robot, bundles, p
     at_calls(robot, place, back, ends_well(bundles))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EROFS])
 def test_a_disk_that_refuses_leaves_what_was_there(robot, bundles, place, code):
     put(robot)
@@ -708,6 +708,7 @@ def test_killed_at_any_instant_a_sealing_key_can_be_made_again_without_force(pla
     at_calls(place / "before", place, make_sealing_key, look)
 
 
+@pytest.mark.slow
 def test_killed_at_any_instant_a_request_is_answered_or_the_old_keys_are_there(place):
     """Where the CAs are, for a participant whose keys were made there before."""
     prepared = made(place / "prepared", "transition", names=(ROBOT,))

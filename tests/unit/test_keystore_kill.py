@@ -31,8 +31,6 @@ from tests.unit.killing import (
     survives,
 )
 
-pytestmark = pytest.mark.slow
-
 # What is done while the kill comes
 
 
@@ -138,6 +136,7 @@ def test_a_keystore_can_be_made_again_without_being_opened_after_a_kill(place):
         shutil.rmtree(root)
 
 
+@pytest.mark.slow
 def test_a_recovery_that_is_killed_too_is_finished_by_the_next(place, prepared):
     original = place / "committed"
     shutil.copytree(prepared(("/old",)), original, symlinks=True)
@@ -201,6 +200,7 @@ def test_two_processes_that_want_the_same_name_do_not_both_get_it(place):
         check_whole(Keystore.open(root, to_change=True), "/talker")
 
 
+@pytest.mark.slow
 def test_a_recovery_that_takes_in_what_an_earlier_pqsec_left_may_be_killed_too(place, prepared):
     """Lines that it had in the ledger's -wal, of which nothing is lost or taken in twice."""
     original = place / "committed"

@@ -535,6 +535,7 @@ def test_what_another_program_was_stopped_at_is_not_read(keystore, tmp_path):
         add(copy, later="0")
 
 
+@pytest.mark.slow
 def test_it_stays_fast_as_it_grows(keystore):
     enter(keystore, (entry(number) for number in range(20_000)))
     standing = status(keystore, now=NOW + timedelta(days=1))

@@ -29,8 +29,6 @@ from tests.unit.killing import (
     killed_processes,
 )
 
-pytestmark = pytest.mark.slow
-
 BOTH = ("/fleet/robot1", "/talker")
 
 
@@ -126,6 +124,7 @@ def test_a_disk_that_fails_at_any_call_is_no_worse_than_a_kill(place, prepared, 
 COMMANDS = ["renew --all", "renew --all --keep-key", "revoke /talker --yes", "issue /a /b /c"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, line):
     for root in killed_processes(place, prepared(BOTH), line, within=0.02):

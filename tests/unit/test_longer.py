@@ -1,18 +1,15 @@
 """What the gate leaves to the longer job."""
 
 import os
-import re
 import subprocess
 import sys
-import tomllib
+from pathlib import Path
 
 import pytest
 
-from tests.longer import TESTS, covering, spread
-from tests.measured import LIST
-from tests.unmeasured import unmeasured, worth_measuring
+from tests.longer import covering, spread
 
-LEFT_OUT = tomllib.loads((TESTS / "longer.toml").read_text())
+TESTS = Path(__file__).parents[1]
 TOY = """
 import pytest
 
@@ -21,12 +18,22 @@ import pytest
 def test_matrix(stack, version, profile):
     assert profile != "pq"
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("number", range(5))
 def test_table(number):
     pass
 
-def test_one():
+@pytest.mark.parametrize("size", [1, pytest.param(9, marks=pytest.mark.slow)])
+def test_sizes(size):
     pass
+
+@pytest.mark.slow
+def test_slow():
+    pytest.skip("in .ci/long: a stack")
+
+class TestClass:
+    def test_one(self):
+        pass
 """
 
 
@@ -45,58 +52,24 @@ def test_cases_are_spread_evenly():
     assert spread(range(3), 0) == []
 
 
-def test_what_is_left_out_is_there():
-    texts = {file: (TESTS / file).read_text() for file in LEFT_OUT}
-    missing = [
-        f"{file}: {name}"
-        for file, names in LEFT_OUT.items()
-        for name in names
-        if f"\ndef {name}(" not in texts[file]
-    ]
-    assert missing == []
-
-
-def test_what_is_not_measured_is_there():
-    """Each line of unmeasured.txt names a file, or a test, that exists."""
-    names = [line.partition("::") for line in LIST.read_text().splitlines()]
-    files = {file for file, _, _ in names}
-    words = {file: {"", *re.findall(r"\w+", (TESTS.parent / file).read_text())} for file in files}
-    assert [name for file, _, name in names if name not in words[file]] == []
-
-
-def test_what_others_show_is_not_measured():
-    """Of two tests that show the same, the quicker one; a file without a chosen one as a whole."""
-    seconds = {"a::slow": 9, "a::quick": 0.01, "a::other": 0.1, "b::none": 0.1, "b::same": 2}
-    points = {
-        "a::slow": {(1, 1), (1, 2)},
-        "a::quick": {(1, 1), (1, 2)},
-        "a::other": {(1, line) for line in range(3, 9)},
-        "b::same": {(1, 1)},
-    }
-    chosen = worth_measuring(seconds, points)
-    assert chosen == {"a::quick", "a::other"}
-    assert unmeasured(seconds, chosen) == ["a::slow", "b"]
-
-
 @pytest.fixture
 def toy(tmp_path):
-    """toy(PQSEC_LONG, options) is what pytest says of a file of tests, with our conftest."""
+    """toy(options, **variables) is what pytest says of a file of tests, with our conftest."""
     folder = tmp_path / "tests"
     folder.mkdir()
-    for name in ("conftest.py", "longer.py", "libraries.py", "measured.py"):
+    for name in ("conftest.py", "longer.py", "libraries.py"):
         (folder / name).symlink_to(TESTS / name)
-    (folder / "longer.toml").write_text('["test_toy.py"]\ntest_table = ["1", "4"]\n')
     (folder / "test_toy.py").write_text(TOY)
 
-    def run(long, *options):
-        environment = {name: os.environ[name] for name in os.environ if name[:6] != "PYTEST"}
+    def run(*options, **variables):
+        kept = {n: v for n, v in os.environ.items() if not n.startswith(("PYTEST", "PQSEC_"))}
         done = subprocess.run(
             [
                 *(sys.executable, "-m", "pytest", "-c", TESTS.parent / "pyproject.toml"),
                 *("--rootdir", tmp_path, "-p", "no:cacheprovider", "-q", *options),
             ],
             cwd=tmp_path,
-            env=environment | {"PQSEC_LONG": long},
+            env=kept | variables,
             capture_output=True,
             text=True,
             check=False,
@@ -106,22 +79,38 @@ def toy(tmp_path):
     return run
 
 
-@pytest.mark.slow
-def test_the_gate_runs_a_part_and_the_longer_job_all(toy):
-    gate = toy("", "tests")
-    assert "1 failed, 6 passed, 5 deselected" in gate
+def test_the_gate_runs_what_is_not_slow_and_the_longer_job_all(toy):
+    assert "1 failed, 6 passed, 8 deselected" in toy("tests")
     for long in ("1", "cases"):
-        assert "2 failed, 10 passed" in toy(long, "tests")
+        assert "2 failed, 12 passed, 1 skipped" in toy("tests", PQSEC_LONG=long)
 
 
-@pytest.mark.slow
 def test_what_is_named_runs_and_of_files_beside_it_a_part(toy, tmp_path):
     (tmp_path / "tests" / "test_other.py").write_text(TOY)
-    said = toy("", "tests/test_toy.py::test_table[1]", "tests/test_other.py")
-    assert "1 failed, 9 passed, 3 deselected" in said
+    file = "tests/test_toy.py::"
+    named = (f"{file}test_table[1]", f"{file}test_slow", f"{file}TestClass")
+    assert "1 failed, 8 passed, 1 skipped, 8 deselected" in toy(*named, "tests/test_other.py")
+    assert "3 passed" in toy(f"{file}test_table[1]", f"{file}test_sizes", PQSEC_PART="2/2")
 
 
-@pytest.mark.slow
-def test_a_case_that_there_is_not_cannot_be_left_out(toy, tmp_path):
-    (tmp_path / "tests" / "longer.toml").write_text('["test_toy.py"]\ntest_table = ["7"]\n')
-    assert "test_table has no case ['7']" in toy("", "tests")
+def test_each_case_is_in_one_part(toy):
+    parts = [
+        toy("--collect-only", "tests", PQSEC_LONG="cases", PQSEC_PART=f"{number}/4")
+        for number in range(1, 5)
+    ]
+    cases = [
+        [line for line in part.splitlines() if line.startswith("tests/test_toy.py::")]
+        for part in parts
+    ]
+    assert sorted(map(len, cases)) == [3, 4, 4, 4]
+    assert len({case for part in cases for case in part}) == 15
+
+
+def test_what_is_skipped_is_noted_or_fails(toy, tmp_path):
+    """The gate notes it on the bare machine, and fails where all other implementations are."""
+    file = "tests/test_toy.py"
+    (tmp_path / file).write_text("import pytest\ndef test_it(): pytest.skip('no compiler')\n")
+    assert "1 skipped" in toy("tests", "-n", "2", PQSEC_SKIPPED=str(tmp_path / "skipped"))
+    assert (tmp_path / "skipped").read_text() == f"{file}::test_it\n"
+    assert "1 failed" in toy("tests", PQSEC_REQUIRE_INTEROP="1")
+    assert "1 skipped" in toy(f"@{tmp_path}/skipped", PQSEC_SKIPPED="", PQSEC_REQUIRE_INTEROP="")

@@ -72,6 +72,7 @@ def test_the_way_from_classical_keys(keystores):
     assert [first.reissued, last.reissued] == [2, 2]
 
 
+@pytest.mark.slow
 def test_a_version_that_cannot_send_large_messages(keystores):
     plan = plan_migration(keystores["classical"], PQ, (CYCLONE, LIMITED), now=NOW)
     needs = {each.stack: each.needs for each in plan.steps[0].stacks}
@@ -80,6 +81,7 @@ def test_a_version_that_cannot_send_large_messages(keystores):
     assert "use another version" in needs["Fast DDS 3.1"]
 
 
+@pytest.mark.slow
 def test_the_way_depends_on_where_it_begins(keystores):
     for before, target, titles in (
         ("transition", "pq", ["install", "change"]),
@@ -95,6 +97,7 @@ def test_the_way_depends_on_where_it_begins(keystores):
             assert plan.steps[-1].level == (0 if target == "transition" else level)
 
 
+@pytest.mark.slow
 def test_a_participant_whose_key_is_on_its_robot_needs_a_request(tmp_path):
     keystore = made(tmp_path / "k", "classical", names=("/talker", "/listener", "/robot"))
     (keystore.root / "enclaves/robot/key.pem").unlink()
@@ -123,6 +126,7 @@ def test_a_rehearsal_runs_old_with_new_and_changes_nothing(keystores, tmp_path, 
         assert "was issued by" in step.reason
 
 
+@pytest.mark.slow
 def test_a_rehearsal_that_is_killed_leaves_no_key(keystores, tmp_path):
     """The kill comes when there is a copy of a key of the keystore."""
     root = keystores["hybrid"].root
@@ -174,6 +178,7 @@ def test_a_keystore_that_nobody_may_change_is_rehearsed(tmp_path):
     assert rehearse(keystore, PQ, now=NOW).ok
 
 
+@pytest.mark.slow
 def test_a_large_fleet_is_sampled(tmp_path):
     names = [f"/robot{number}" for number in range(SAMPLE + 2)]
     keystore = made(tmp_path / "k", "transition", names=names)
@@ -218,6 +223,7 @@ def with_large_permissions(root):
     return keystore
 
 
+@pytest.mark.slow
 def test_a_rehearsal_finds_a_pair_that_cannot_meet_any_more(tmp_path):
     keystore = with_large_permissions(tmp_path / "k")
     pair = [Side(keystore, name, PQSEC) for name in ("/large", "/talker")]
@@ -249,6 +255,7 @@ participants:
 """
 
 
+@pytest.mark.slow
 def test_each_step_has_a_file_with_which_apply_makes_it(tmp_path):
     (tmp_path / "names.txt").write_text("/talker\n/listener\n")
     file = tmp_path / "domain.yaml"
@@ -286,6 +293,7 @@ def test_each_step_has_a_file_with_which_apply_makes_it(tmp_path):
     assert rehearse(Keystore.open(root), profile_named("cnsa2"), now=NOW).ok
 
 
+@pytest.mark.slow
 def test_without_a_domain_file_the_steps_are_made_of_the_keystore(keystores, tmp_path):
     keystore = keystores["transition"]
     plan = plan_migration(keystore, PQ, (CYCLONE,), now=NOW)

@@ -96,6 +96,7 @@ def outcome(root):
     return done.returncode, {key.rpartition(":")[2]: result for key, result in found.items()}
 
 
+@pytest.mark.slow
 def test_a_mutant_survives_without_its_test_and_fails_the_job(toy):
     root = toy(TESTED)
     survivors = {"never": "survived", "boundary-1": "survived"}
@@ -104,6 +105,7 @@ def test_a_mutant_survives_without_its_test_and_fails_the_job(toy):
     assert (root / PACKAGE / "access/door.py").read_text() == DOOR
 
 
+@pytest.mark.slow
 def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
     root = toy(TESTED + REFUSED)
     [boundary] = [each.id for each in mutants(root) if each.kind == "boundary-1"]
@@ -113,11 +115,13 @@ def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
     assert outcome(root) == (0, killed | {"boundary-1": "survived"})
 
 
+@pytest.mark.slow
 def test_a_mutant_that_runs_only_in_a_program_that_a_test_starts_is_killed_by_that_test(toy):
     kinds = {"always": "killed", "never": "killed", "boundary-1": "survived"}
     assert outcome(toy(STARTED)) == (1, kinds)
 
 
+@pytest.mark.slow
 def test_each_room_has_its_mutants_and_each_reason_is_for_one_of_them():
     found = mutants(ROOT)
     ids = {each.id for each in found}

@@ -541,7 +541,7 @@ OTHERWISE = {
 """Where a reader refuses for another reason, and why."""
 
 
-@pytest.mark.slow
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", READERS)
 def test_every_reader_gives_the_verdict_of_the_table(lab, tmp_path, name):
     wrong = []

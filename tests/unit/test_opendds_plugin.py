@@ -59,6 +59,7 @@ dropped 21 0
 """
 
 
+@pytest.mark.slow
 def test_values_handles_and_refusals(requires, tmp_path):
     """The C++ that has no type of OpenDDS: to the agent's octets and back, and what is kept."""
     cxx = requires(shutil.which("c++"), "a C++ compiler", "apt-get install g++")
@@ -289,6 +290,7 @@ def test_an_export_is_for_the_opendds_that_the_plugin_is_for(exported, tmp_path)
     assert "pqsec plugin install opendds" in refusal.value.hint
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("name", ["a b", "a:b", "a(b", 'a"b', "\u00e9"])
 def test_a_folder_that_ace_reads_otherwise_is_refused(exported, tmp_path, name):
     (tmp_path / "plugin").rename(tmp_path / name)

@@ -13,7 +13,7 @@ from tests.unit.keystores import begin_overlap, cancel_overlap, finish_overlap, 
 from tests.unit.killing import NOW, check_commitment, copies, drafts, empty_list, issue_to
 from tests.unit.linting import check_nothing_broken
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("links_count_too")]
+pytestmark = pytest.mark.usefixtures("links_count_too")
 
 ROBOT = "/fleet/robot1"
 RARELY = 5
@@ -46,6 +46,7 @@ def phase_of(root: Path) -> str:
     return overlap.phase if overlap else issuing.subject_name
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("before", "name", "every"),
     [

@@ -332,7 +332,6 @@ def test_two_processes_say_what_one_says(many):
     assert all(ok for _, ok, _ in one)
 
 
-@pytest.mark.slow
 def test_a_fault_is_told_by_other_processes_too(many, tmp_path):
     path = many.root / "enclaves/n3/key.pem"
     kept = path.read_bytes()
@@ -382,7 +381,6 @@ def test_an_error_in_another_process_is_told_in_full(many):
     assert multiprocessing.active_children() == []
 
 
-@pytest.mark.slow
 def test_a_process_that_is_killed_is_told(many):
     def kill_and_go_on():
         with surveyed(many, jobs=2) as found:
@@ -396,7 +394,6 @@ def test_a_process_that_is_killed_is_told(many):
     assert multiprocessing.active_children() == []
 
 
-@pytest.mark.slow
 def test_the_processes_run_no_code_of_the_folder_where_they_start(many, tmp_path, monkeypatch):
     """A user who may write in another's working folder could make that user run commands."""
     (tmp_path / "multiprocessing.py").write_text("raise SystemExit(3)")

@@ -423,6 +423,7 @@ def come_and_go(enclaves, answers):
         each.connection.finish()
 
 
+@pytest.mark.slow
 def test_hosts_that_have_gone_leave_nothing_behind(enclaves):
     answers = PendingReplies()
     for _ in range(KEPT):
@@ -434,6 +435,7 @@ def test_hosts_that_have_gone_leave_nothing_behind(enclaves):
     assert census() - before == Counter()
 
 
+@pytest.mark.slow
 def test_participants_that_have_gone_leave_nothing_behind_in_a_host_that_stays(enclaves):
     shim = Shim("authentication")
 

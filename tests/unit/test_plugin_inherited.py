@@ -4,6 +4,7 @@ Agents and hosts are real processes, each with what its command line sets before
 """
 
 import os
+import re
 import resource
 import subprocess
 import sys
@@ -19,6 +20,16 @@ from tests.unit.test_plugin_agent import PATIENCE, until
 
 pytestmark = pytest.mark.skipif(os.geteuid() != 0, reason="only root can start others' processes")
 
+_MAY = int(re.findall(r"CapEff:\t(\w+)", Path("/proc/self/status").read_text())[0], 16)
+
+
+def with_capability(number, name):
+    """Root of a container lacks some."""
+    return pytest.mark.skipif(not _MAY >> number & 1, reason=f"root has no {name} here")
+
+
+mounts = with_capability(21, "CAP_SYS_ADMIN")
+priorities = with_capability(23, "CAP_SYS_NICE")
 NOBODY = 65534
 # Both load their modules, run the test's statements, and only then begin: others than root may not
 # read this Python.
@@ -167,13 +178,14 @@ def test_a_hosts_own_limits_do_not_end_or_hinder_the_agent(place, kind):
         assert resource.prlimit(process.pid, number) == (hard, hard)
 
 
+@priorities
 @pytest.mark.parametrize("nice", [-5, 5])
 def test_a_hosts_nice_value_is_not_the_agents(place, nice):
     with running(place, f"os.nice({nice})") as process:
         assert os.getpriority(os.PRIO_PROCESS, process.pid) == 0
 
 
-@pytest.mark.parametrize("before", ["", NO_PROC])
+@pytest.mark.parametrize("before", ["", pytest.param(NO_PROC, marks=mounts)])
 def test_a_hosts_capabilities_are_not_the_agents(place, before):
     """Files that only such a host may read were read for all of the user's hosts."""
     keeps = f"{before}\nctypes.CDLL(None).prctl(8, 1)"
@@ -182,7 +194,7 @@ def test_a_hosts_capabilities_are_not_the_agents(place, before):
     assert "CapPrm:\t0000000000000000" in status
 
 
-@pytest.mark.parametrize("other", [OTHER_MOUNTS, OTHER_ROOT])
+@pytest.mark.parametrize("other", [pytest.param(OTHER_MOUNTS, marks=mounts), OTHER_ROOT])
 def test_a_host_that_sees_other_files_is_not_served_with_those_of_the_first(place, other):
     """Paths in its configuration named other files: it got another participant's identity."""
     with agent(place):
@@ -191,6 +203,7 @@ def test_a_host_that_sees_other_files_is_not_served_with_those_of_the_first(plac
         assert agent_status(place) is None
 
 
+@mounts
 def test_a_host_is_not_served_by_an_agent_of_another_mount_name_space(place):
     with running(place, OTHER_MOUNTS):
         assert TURNED_AWAY in host(place)
@@ -227,6 +240,7 @@ def test_a_host_with_more_files_than_an_agent_can_use_is_served(place):
         assert TURNED_AWAY in host(place, enough)
 
 
+@priorities
 @pytest.mark.parametrize(
     "low",
     [
@@ -242,6 +256,7 @@ def test_a_host_with_a_higher_priority_does_not_wait_for_an_agent_with_a_low_one
         assert TURNED_AWAY in host(place, as_nobody("os.setpriority(os.PRIO_PROCESS, 0, 0)"))
 
 
+@priorities
 def test_an_agent_needs_no_higher_priority_than_usual(place):
     usual, high = (as_nobody(f"os.setpriority(os.PRIO_PROCESS, 0, {nice})") for nice in (0, -5))
     with agent(place, usual):
@@ -295,18 +310,21 @@ def tell(starter, before=""):
     return starter.stdout.readline()
 
 
+@mounts
 def test_the_host_that_started_the_agent_is_served_whatever_it_has(place):
     """Else it would start one agent after another."""
     with started(place) as starter:
         assert tell(starter, OTHER_MOUNTS) == "served\n"
 
 
+@mounts
 def test_all_connections_of_the_host_that_started_the_agent_are_served(place):
     with started(place) as starter:
         keep = "first = Client(AgentFolder(Path(sys.argv[2])), 'access_control')"
         assert tell(starter, keep) == tell(starter, OTHER_MOUNTS) == "served\n"
 
 
+@mounts
 def test_a_process_with_the_number_of_the_host_that_started_the_agent_is_not_that_host(place):
     with started(place) as starter:
         assert tell(starter) == "served\n"
@@ -340,6 +358,7 @@ def connections(place):
     return [line for line in lines if line.endswith(f" {place.socket}")]
 
 
+@mounts
 def test_an_agent_that_was_not_started_by_a_host_serves_hosts_in_containers(place):
     """As `pqsec agent run` and systemd's do: who runs it has chosen what it sees and may."""
     code = (
@@ -355,6 +374,7 @@ def test_an_agent_that_was_not_started_by_a_host_serves_hosts_in_containers(plac
             process.kill()
 
 
+@mounts
 def test_hosts_of_the_agent_that_serves_no_others_stay(place):
     with agent(place) as process:
         first = Client(place, "authentication")

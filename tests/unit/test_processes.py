@@ -152,6 +152,7 @@ shared_out(work, range(10_000))
 """
 
 
+@pytest.mark.slow(but=1)
 @several
 @pytest.mark.parametrize(
     ("end", "code"), [(signal.SIGINT, -signal.SIGINT), (signal.SIGKILL, -signal.SIGKILL)]
@@ -341,6 +342,7 @@ def fleet(tmp_path):
     return tmp_path / "k"
 
 
+@pytest.mark.slow
 @several
 def test_a_fleet_that_several_processes_made_is_whole(fleet):
     """No two keys or serial numbers are the same: a fork has random octets of its own."""
@@ -360,6 +362,7 @@ def test_a_fleet_that_several_processes_made_is_whole(fleet):
     assert {key.algorithm for key in keys} == {profile_named("transition").participant_key}
 
 
+@pytest.mark.slow
 @several
 @pytest.mark.parametrize("wait", [0.05, 0.15])
 def test_a_fleet_whose_maker_is_killed_can_be_made_by_the_next(fleet, wait):

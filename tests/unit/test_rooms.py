@@ -22,7 +22,7 @@ from pqsec_pki.selfcheck import STACKS as SIMULATED
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import EXPORTERS
 from pqsec_pki.vendors.messages import messages
-from tests.measured import measured_too
+from tests.running import measured_too
 
 ROOT = Path(pqsec_pki.__file__).parent
 GROUND = {

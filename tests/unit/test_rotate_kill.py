@@ -24,7 +24,7 @@ from tests.unit.killing import NOW, drafts, empty_list, fails_with, issue_to, su
 from tests.unit.linting import check_nothing_broken
 from tests.unit.sros2_keystore import SROS2
 
-pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("links_count_too")]
+pytestmark = pytest.mark.usefixtures("links_count_too")
 
 BOTH = ("/fleet/robot1", "/talker")
 SECRET = b"secret"
@@ -96,6 +96,7 @@ SCENES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("scene", SCENES.values(), ids=SCENES)
 def test_the_generation_is_old_or_new_whenever_the_kill_comes(place, prepared, scene):
     original = place / "original"
@@ -246,6 +247,7 @@ COMMANDS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("line", COMMANDS)
 def test_a_process_that_is_killed_leaves_a_keystore_that_holds(place, prepared, line):
     for root in killing.killed_processes(place, prepared(BOTH), line, within=0.03):

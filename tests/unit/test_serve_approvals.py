@@ -11,8 +11,6 @@ from pqsec_pki.server import APPROVAL, decide, read_settings
 from tests.unit.approving import make_key
 from tests.unit.serving import Robot, Server
 
-pytestmark = pytest.mark.slow
-
 APPROVERS = "approvals: {required: 2, of: {alice: alice.pub.pem, bob: bob.pub.pem}}\n"
 
 

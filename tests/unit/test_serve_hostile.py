@@ -359,6 +359,7 @@ def test_the_process_that_faces_the_network_gets_no_password(tmp_path, monkeypat
     assert not any(b"secret of the database" in each for each in found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("moment", [0.01, 0.05, 0.1, 0.2])
 def test_after_a_kill_the_same_request_has_one_answer(tmp_path, moment):
     made = Server(tmp_path, datetime.now(UTC))

@@ -134,6 +134,7 @@ MANY = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("size", MANY)
 def test_strangers_with_many_requests_keep_no_robot_from_the_signer(tmp_path, size):
     """All that the signer could take was theirs, and until they had answers robots got 503."""

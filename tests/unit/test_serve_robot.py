@@ -25,8 +25,6 @@ from tests.running import clean_environment, run_here
 from tests.unit.killing import disturbed_calls, survives
 from tests.unit.serving import Server
 
-pytestmark = pytest.mark.slow
-
 ROBOT, OTHER = "/fleet/r1", "/fleet/r2"
 
 
@@ -121,6 +119,7 @@ def test_a_stolen_token_is_of_no_use_after_the_robot(server, place):
     assert len(certificates(server)) == 1
 
 
+@pytest.mark.slow
 def test_killed_at_any_instant_a_robot_gets_one_new_certificate(server, place):
     """The server answers a repeated request as it did the first time: nothing is issued twice."""
     robot = place / "robot"

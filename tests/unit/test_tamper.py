@@ -269,6 +269,7 @@ def is_point(row, way):
     return row.family is Family.CLASSICAL or (way == "first" and row.name.startswith("secp"))
 
 
+@pytest.mark.slow(but=150)
 @pytest.mark.parametrize("message", MESSAGES)
 @pytest.mark.parametrize("suite", SUITES, ids=str)
 def test_spoilt_fields_are_refused_where_the_table_says(suite, message):

@@ -61,6 +61,7 @@ def test_every_test_has_a_time_limit(request):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("workers", [(), ("-n", "2")], ids=["alone", "two workers"])
 def test_what_hangs_fails_with_its_stack_and_the_rest_runs(tmp_path, workers):
     code, said = run(tmp_path, "--timeout", "2", "-k", "not test_c", *workers)
@@ -71,6 +72,7 @@ def test_what_hangs_fails_with_its_stack_and_the_rest_runs(tmp_path, workers):
     assert said.count("Timeout (>2.0s)") >= 2
 
 
+@pytest.mark.slow
 def test_what_hangs_in_c_ends_with_its_stack(tmp_path):
     limits = ("--timeout", "1", "-o", "faulthandler_timeout=2")
     code, said = run(tmp_path, *limits, "-k", "test_c or test_after")
@@ -78,6 +80,7 @@ def test_what_hangs_in_c_ends_with_its_stack(tmp_path):
     assert "in waits_without_looking_up" in said
 
 
+@pytest.mark.slow
 def test_what_hangs_in_c_fails_alone_with_workers(tmp_path):
     limits = ("--timeout", "1", "-o", "faulthandler_timeout=2")
     code, said = run(tmp_path, *limits, "-k", "test_c or test_after", "-n", "2")

@@ -459,6 +459,7 @@ def test_it_is_over_when_the_time_is(setup):
     assert done.seconds == 0.5
 
 
+@pytest.mark.slow
 def test_nobody_waits_for_a_stranger(setup):
     done = setup(
         LISTEN,
@@ -470,6 +471,7 @@ def test_nobody_waits_for_a_stranger(setup):
     assert done.outcomes[2].received == "x"
 
 
+@pytest.mark.slow
 def test_a_stranger_is_given_time_after_the_others(setup):
     """Else it would hear nothing only for want of time."""
     late = "time.sleep(0 if 'PEER' in os.environ else 0.6); print('received x')"
@@ -485,6 +487,7 @@ def test_what_a_peer_is_told(setup):
     assert done.outcomes[0].log == "send 3 T x a\n"
 
 
+@pytest.mark.slow
 def test_nothing_is_left_running(setup):
     child = "p = subprocess.Popen(['sleep', '60']); print(p.pid, flush=True); time.sleep(60)"
     done = setup(child, timeout=5)
@@ -503,6 +506,7 @@ def _state(pid):
     return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0]
 
 
+@pytest.mark.slow
 def test_a_log_without_end_does_not_fill_the_memory(setup):
     flood = "os.write(1, b'z' * (3 << 20)); time.sleep(60)"
     assert len(setup(flood, timeout=5).outcomes[0].log) == 1 << 20

@@ -38,7 +38,6 @@ def test_a_file_follows_its_definition_and_no_other(file, definition):
     assert {other for other in others if validator(other).is_valid(content)} == set()
 
 
-@pytest.mark.slow
 def test_the_vectors_are_in_the_source_distribution(tmp_path):
     build = [sys.executable, "-m", "hatchling", "build", "-t", "sdist", "-d", str(tmp_path)]
     subprocess.run(build, cwd=ROOT, check=True, capture_output=True)

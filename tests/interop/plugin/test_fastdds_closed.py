@@ -146,11 +146,13 @@ def refused(outcome: Outcome, *words: str) -> bool:
     return outcome.code == 3
 
 
+@pytest.mark.slow(but=1)
 @EVERYWHERE
 def test_with_the_plugin_it_joins(stage):
     assert stage.run().joined
 
 
+@pytest.mark.slow(but=1)
 @EVERYWHERE
 def test_without_the_preload_library_its_own_plugin_refuses_post_quantum_keys(stage):
     assert refused(stage.run(without="LD_PRELOAD"))
@@ -237,6 +239,7 @@ def test_an_agent_that_does_not_answer_makes_it_fail(stage, tmp_path_factory, ho
     assert refused(outcome, said)
 
 
+@pytest.mark.slow
 def test_a_host_whose_agent_is_killed_goes_on_and_meets_nobody(stage):
     """It ends by itself, and another gets a new agent."""
     with TemporaryDirectory(prefix="pqsec-run-") as runtime:  # a socket's path must be short
@@ -324,10 +327,12 @@ def peer(fastdds: Installation, program: bytes, *commands: list[str]) -> Path:
     return kept("peer", inputs, make)
 
 
+@pytest.mark.slow
 def test_a_program_that_is_linked_with_it_needs_no_preloading(stage, linked):
     assert stage.run(without="LD_PRELOAD", program=linked).joined
 
 
+@pytest.mark.slow(but=1)
 @AS_ROOT
 @pytest.mark.parametrize("right", ["setuid", "capability"])
 def test_with_more_rights_it_runs_that_plugin_which_is_refused_the_agent(
@@ -348,11 +353,13 @@ def opened(fastdds_here) -> Callable[[str], list[str]]:
     return lambda how: [str(folder / "host"), how, str(folder / "libpeer.so")]
 
 
+@pytest.mark.slow
 def test_it_runs_in_a_library_that_was_opened_locally(stage, opened):
     """As ROS 2 opens its middleware."""
     assert stage.run(program=opened("local")).joined
 
 
+@pytest.mark.slow
 def test_a_library_that_binds_to_itself_first_gets_its_own_plugin_which_refuses(stage, opened):
     assert refused(stage.run(program=opened("deep")))
 
@@ -387,6 +394,7 @@ get_datareader_sec_attributes"""
 MORE = " get_participant_guid set_event_resource"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("more", ["", MORE], ids=["no more", "two more"])
 def test_an_adapter_that_is_told_of_other_functions_has_them_in_their_order(stack_in, more):
     """With the public headers of 3.1.2, and not run: test_fastdds_versions.py runs such versions.

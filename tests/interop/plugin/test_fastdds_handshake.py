@@ -20,6 +20,7 @@ def ours_in_fastdds(request, fastdds_with_ours) -> FastDdsShim:
     return fastdds_with_ours(request.param)
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("profile", LAB_PROFILES)
 def test_two_with_the_plugin_meet(ours_in_fastdds, labs, profile):
     lab = labs(profile)
@@ -60,6 +61,7 @@ def beside_fastdds(ours_in_fastdds, fastdds, labs):
     return sides
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("we", ["alice", "bob"])
 @pytest.mark.parametrize("profile", STOCK)
 def test_it_meets_fast_ddss_own_plugin_if_allowed(beside_fastdds, settings, profile, we):

@@ -85,6 +85,7 @@ def _small(role: TrialRole, installation: Installation, preload: str) -> TrialRo
     return replace(role, environment={**role.environment, "LD_PRELOAD": f"{first}{preload}"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("profile", ["cnsa2", "pq"])
 @pytest.mark.parametrize("where", ROOTS)
 def test_two_meet_in_datagrams_of_1400_bytes(meeting, where, profile):
@@ -92,6 +93,7 @@ def test_two_meet_in_datagrams_of_1400_bytes(meeting, where, profile):
     assert went.outcomes[1].received == went.outcomes[0].role.text, went.outcomes[1].log
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ROOTS)
 def test_two_meet_where_one_datagram_in_ten_is_lost(meeting, lossy, where):
     went = meeting(where, "pq", f":{lossy}")
@@ -132,6 +134,7 @@ def run_alone(
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", PLACES)
 @pytest.mark.parametrize(
     ("act", "count", "said"),

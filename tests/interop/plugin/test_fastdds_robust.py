@@ -101,6 +101,7 @@ def every_function(shim, lab, tmp_path) -> Callable[..., subprocess.CompletedPro
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("agent", ["agent", "none"])
 @pytest.mark.parametrize("how", ["sanitized", "installed"])
 def test_each_function_does_no_harm(request, every_function, how, agent):
@@ -138,6 +139,7 @@ class Answer(socketserver.BaseRequestHandler):
                     self.request.sendall(self.server.answer(frame))
 
 
+@pytest.mark.slow
 def test_the_answers_of_a_mad_agent_do_no_harm(sanitized, lab, now):
     with TemporaryDirectory(prefix="pqsec-run-") as runtime:
         place = AgentFolder.of({"XDG_RUNTIME_DIR": runtime})

@@ -179,6 +179,7 @@ def parted(session) -> Iterator[Callable[[str, str], Heard]]:
         yield lambda *case: began[case].result()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("where", "how"), CASES)
 def test_a_peer_that_may_no_longer_take_part_is_disconnected(parted, where, how):
     """Both processes live on, and what the peer sends is not received."""
@@ -192,6 +193,7 @@ def test_a_peer_that_may_no_longer_take_part_is_disconnected(parted, where, how)
     assert len(re.findall("received", after)) < 5
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("receiving", MIXED)
 def test_peers_of_two_versions_stay_connected(session, receiving):
     """Also where one never announces itself on the protected topic."""
@@ -205,6 +207,7 @@ def test_peers_of_two_versions_stay_connected(session, receiving):
     assert ends == [False], "".join(heard.lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ROOTS)
 def test_a_participant_announces_itself_also_while_the_agent_does_not_answer(
     session, plugin_for, monkeypatch, where

@@ -131,6 +131,7 @@ def reports(stack_in, laboratory, plugin_for, selected) -> Iterator[Callable[[st
         yield lambda name: found[name].result()
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", MET)
 def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
     report = reports(name)
@@ -141,6 +142,7 @@ def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
     assert report.readable is False
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", REFUSED)
 def test_nothing_passes_and_it_is_said_why(reports, name):
     report, said = reports(name), REFUSED[name][-1]
@@ -216,6 +218,7 @@ def meetings(stack_in, laboratory, plugin_for, selected) -> Iterator[Callable[[M
         yield lambda meeting: began[meeting].result()
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("meeting", MIXED, ids=lambda each: f"{each.sending}-{each.receiving}")
 def test_one_in_one_stack_and_one_in_another_meet(meetings, meeting):
     went = meetings(meeting)

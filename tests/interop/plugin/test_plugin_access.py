@@ -137,6 +137,7 @@ def _governances():
         )
 
 
+@pytest.mark.slow(but=4)
 @pytest.mark.parametrize("number", range(10))
 def test_governance_means_the_same_as_to_cyclones_own_plugin(shim, plugins, labs, enclave, number):
     lab, governance = labs("classical"), list(_governances())[number]

@@ -76,6 +76,7 @@ def bypassing(lax, labs, enclave):
     return role
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topic", [OTHER, TOPIC])
 def test_a_sender_that_bypasses_its_own_access_control_is_not_heard(
     outcome, stage, labs, bypassing, topic
@@ -86,6 +87,7 @@ def test_a_sender_that_bypasses_its_own_access_control_is_not_heard(
     assert ("check_remote_datawriter refused" in log) is (topic == OTHER), log
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("topic", [OTHER, TOPIC])
 def test_a_receiver_that_bypasses_its_own_access_control_hears_nothing(
     outcome, stage, labs, bypassing, topic
@@ -108,6 +110,7 @@ def self_signed(labs, other_labs, enclave):
     return forged
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("lie", LIES, ids=" ".join)
 def test_permissions_that_a_peer_signed_itself_are_nothing(outcome, stage, labs, self_signed, lie):
     lab, (liar, whose) = labs("pq"), lie

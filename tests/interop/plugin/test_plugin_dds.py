@@ -40,6 +40,7 @@ def stage(installation, shim, plugins, tmp_path) -> Stage:
     return Stage(installation, shim, plugins, tmp_path)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("profile", LAB_PROFILES)
 def test_data_flows_between_two_and_a_stranger_gets_nothing(stage, labs, profile):
     lab = labs(profile)
@@ -139,6 +140,7 @@ def test_a_topic_that_is_not_granted_cannot_be_made(stage, labs):
     assert "check_create_topic refused" in stage.shim.log
 
 
+@pytest.mark.slow
 def test_two_meet_though_packets_are_lost(stage, labs):
     lab = labs("pq")
     went = stage.run_peers(
@@ -220,6 +222,7 @@ def test_data_flows_on_when_the_agent_is_killed(stage, labs):
         assert f"received {role.text}" in ended(receiver)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGKILL, signal.SIGSTOP])
 @pytest.mark.parametrize("after", [0.0, 0.05, 0.12])
 def test_no_host_hangs_or_crashes_when_the_agent_dies_or_hangs_at_any_time(stage, labs, after, how):
@@ -242,6 +245,7 @@ def test_no_host_hangs_or_crashes_when_the_agent_dies_or_hangs_at_any_time(stage
                 stage.shim.kill_agent(each)
 
 
+@pytest.mark.slow
 def test_an_agent_that_hangs_makes_a_participant_fail_not_hang(stage, labs):
     lab = labs("pq")
     with running(stage, stage.sender(lab.alice), seconds=1) as sender:
@@ -255,6 +259,7 @@ def test_an_agent_that_hangs_makes_a_participant_fail_not_hang(stage, labs):
         stage.shim.kill_agent(agent)
 
 
+@pytest.mark.slow
 def test_an_agent_of_ones_own_is_for_one_process_and_ends_with_it(stage, labs):
     lab = labs("pq")
     role = stage.sender(lab.alice)
@@ -275,6 +280,7 @@ def test_an_agent_of_ones_own_is_for_one_process_and_ends_with_it(stage, labs):
     assert not socket.exists()
 
 
+@pytest.mark.slow
 def test_a_host_that_keeps_the_interpreter_lock_does_not_hang(stage, labs):
     """As rclpy does in dds_delete: fifty participants, deleted at every stage of a handshake."""
     lab = labs("pq")

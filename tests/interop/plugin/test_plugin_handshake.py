@@ -37,6 +37,7 @@ def beside_cyclone(shim, plugins, labs):
     return sides
 
 
+@pytest.mark.slow(but=3)
 @pytest.mark.parametrize("profile", LAB_PROFILES)
 def test_two_with_the_plugin_meet(shim, labs, profile):
     lab = labs(profile)

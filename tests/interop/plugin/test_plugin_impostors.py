@@ -86,6 +86,7 @@ def listening(shim, behave):
             shim.place.socket.unlink()
 
 
+@pytest.mark.slow(but=2)
 @pytest.mark.parametrize("how", BEHAVIOURS)
 def test_an_agent_that_is_none_is_refused_with_the_reason(shim, labs, monkeypatch, how):
     monkeypatch.setenv("PQSEC_AGENT_TIMEOUT", str(PATIENCE_MS))
@@ -151,6 +152,7 @@ def test_a_host_that_ignores_signals_starts_an_agent_that_does_not(shim, labs):
     assert agent_status(shim.place) is None
 
 
+@pytest.mark.slow
 def test_a_starter_that_does_not_end_is_waited_for_as_long_as_any_call(
     shim, labs, tmp_path, monkeypatch
 ):

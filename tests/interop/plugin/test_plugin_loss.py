@@ -25,6 +25,7 @@ def stage(requires, shim, plugins, tmp_path) -> Stage:
     return Stage(found, shim, plugins, folder)
 
 
+@pytest.mark.slow
 def test_one_meets_others_at_a_loss_of_ten_percent_and_nobody_crashes(stage, labs, enclave):
     """With rtps_protection_kind NONE, where Cyclone DDS repeats what was lost of a handshake."""
     lab = labs("pq")

@@ -160,6 +160,7 @@ INTERPRETATIONS = {OURS: SPEC, CYCLONES: CYCLONEDDS}
 NAMES = {"alice": Action.PUBLISH, "bob": Action.SUBSCRIBE}
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("plugins_of_both", [(OURS, OURS), (CYCLONES, OURS), (CYCLONES, CYCLONES)])
 @pytest.mark.parametrize("restricted", NAMES)
 def test_a_sample_passes_where_own_stack_and_peer_allow_it(

@@ -77,6 +77,7 @@ def said(program):
     shutil.rmtree(folder)
 
 
+@pytest.mark.slow
 def test_a_busy_agent_gets_more_time_than_a_call_may_take(said):
     """At a robot's start, the agent was taken for one that hangs after five seconds."""
     assert said([*[WORKING] * 8, ANSWER]) == f"{HANDLE}\n"
@@ -86,6 +87,7 @@ def test_an_agent_that_says_nothing_is_not_waited_for(said):
     assert "does not answer within 400 ms" in said([b"", b"", b"", b"", ANSWER])
 
 
+@pytest.mark.slow
 def test_an_agent_that_is_busy_for_ever_is_given_up(said):
     assert "is too busy: no answer within 4800 ms" in said(repeat(WORKING))
 
@@ -125,6 +127,7 @@ def together(requires, tmp_path):
     shutil.rmtree(runtime)
 
 
+@pytest.mark.slow
 def test_hosts_that_start_together_start_one_agent(together):
     """Each of 100 hosts started a Python of its own, which kept two cores busy for seconds."""
     assert together([{}] * 8) == (["0\n"] * 8, 1)
@@ -137,6 +140,7 @@ def test_hosts_that_one_agent_cannot_serve_are_served_when_they_start_together(t
     assert (said, starts >= 4) == (["0\n"] * 4, True)
 
 
+@pytest.mark.slow
 def test_a_peer_that_no_agent_can_validate_leaves_a_token_that_the_stack_can_read(
     requires, tmp_path
 ):

@@ -64,6 +64,7 @@ def edges():
     shutil.rmtree(root)
 
 
+@pytest.mark.slow
 def test_library_and_agent_agree_where_it_is(asked, run_user, tmp_path, edges):
     home, link, shared = (tmp_path / name for name in ("home", "link", "shared"))
     home.mkdir(), shared.mkdir(), link.symlink_to(home)
@@ -95,6 +96,7 @@ def test_what_another_user_made_first_is_told_with_the_way_out(asked, tmp_path):
     assert "HOME or XDG_RUNTIME_DIR" in said
 
 
+@pytest.mark.slow
 def test_an_interpreter_that_cannot_be_executed_is_told_with_the_true_reason(asked, tmp_path):
     """It was told as gone where it stood, for root or another user alone."""
     runtime, python = tmp_path / "runtime", tmp_path / "python"
@@ -153,6 +155,7 @@ def environment_of_agent(program, tmp_path):
     return {name: value for name, value in found.items() if name not in {"PWD", "_", "OLDPWD"}}
 
 
+@pytest.mark.slow
 def test_an_agent_gets_no_variable_that_later_hosts_should_not_have(asked, tmp_path):
     """In another locale, Python encoded the paths of all later hosts in another way."""
     asked({"XDG_RUNTIME_DIR": "/nowhere"}, starts=tmp_path / "python")
@@ -177,6 +180,7 @@ def test_who_runs_a_program_with_more_rights_does_not_choose_what_its_agent_load
     assert environment_of_agent(program, tmp_path) == {}
 
 
+@pytest.mark.slow
 def test_the_library_and_the_agent_say_in_the_same_way_which_files_they_see(shim, labs):
     with participant(shim.folder, labs("pq").alice):
         agent = shim.wait_for_agent()

@@ -51,6 +51,7 @@ def python(stage, programs, labs):
     return run
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("pair", ["Python to C", "C to Python", "Python to Python"])
 @pytest.mark.parametrize("profile", PROFILES)
 def test_data_flows_to_and_from_a_python_host(stage, programs, labs, profile, pair):
@@ -61,6 +62,7 @@ def test_data_flows_to_and_from_a_python_host(stage, programs, labs, profile, pa
     assert went.seconds < PATIENCE  # the receiver ended by itself
 
 
+@pytest.mark.slow
 def test_participants_deleted_in_the_middle_of_a_handshake_do_not_hang(stage, python, labs):
     with running(stage, stage.receiver(labs("pq").bob), seconds=NO_HANG):
         done = python("visit", str(VISITS), LONGEST)
@@ -69,6 +71,7 @@ def test_participants_deleted_in_the_middle_of_a_handshake_do_not_hang(stage, py
     assert 0 < said.count("matched") < VISITS == said.count("joined")
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("after", [0.0, 0.05, 0.1, 0.15, 1.0])
 def test_a_host_that_ends_by_an_exception_ends(stage, python, labs, after):
     """Before, in and after a handshake; what it holds dies with the interpreter."""

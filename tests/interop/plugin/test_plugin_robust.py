@@ -46,6 +46,7 @@ def compiled(goal, *words):
     return goal
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("standard", ["c11", "gnu17", "c2x"])
 def test_the_library_compiles_without_a_warning(requires, tmp_path, standard):
     cc = requires(shutil.which("cc"), "a C compiler", "apt-get install gcc libc6-dev")
@@ -59,6 +60,7 @@ def test_the_library_compiles_without_a_warning(requires, tmp_path, standard):
     assert (done.returncode, done.stderr) == (0, "")
 
 
+@pytest.mark.slow
 def test_a_mad_agents_answers_are_refused_and_do_no_harm(shim, tmp_path):
     sources = "-I", SOURCES, HERE / "fuzz_answers.c", SOURCES / "wire.c", SOURCES / "frames.c"
     program = compiled(tmp_path / "fuzz", *SANITIZERS, *sources)
@@ -70,6 +72,7 @@ def test_a_mad_agents_answers_are_refused_and_do_no_harm(shim, tmp_path):
     assert min(taken, refused) > ANSWERS / 10
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize(
     ("program", "said"), [("own_listener", "1\n"), ("set_clock", "both\n")], ids=str
 )
@@ -110,6 +113,7 @@ def _functions():
     return {name for table in tables for name in re.findall(r"\b[a-z]+_[a-z_]+\b", table)}
 
 
+@pytest.mark.slow
 def test_each_function_does_no_harm_with_and_without_an_agent(everything):
     program = (HERE / "every_function.c").read_text()
     assert len(_functions()) == 17 + 30 - 1  # both have set_listener
@@ -165,11 +169,13 @@ def cycles(stage, labs, tmp_path_factory):
     return run
 
 
+@pytest.mark.slow
 def test_a_hundred_lives_more_take_no_more_memory(cycles):
     early, late = cycles(CYCLES, 20)
     assert late - early < GROWTH
 
 
+@pytest.mark.slow
 def test_valgrind_finds_nothing(requires, cycles):
     """Two participants that meet a peer, and end: no bad access, no leak."""
     valgrind = requires(shutil.which("valgrind"), "valgrind", "apt-get install valgrind")
@@ -202,6 +208,7 @@ def brief(tmp_path):
     return lab, lab.alice.with_name("brief")
 
 
+@pytest.mark.slow
 def test_a_participant_that_expires_is_removed_and_its_process_lives_on(stage, brief):
     lab, folder = brief
     stage.folder.joinpath("xml").mkdir()
@@ -216,6 +223,7 @@ def test_a_participant_that_expires_is_removed_and_its_process_lives_on(stage, b
         ended(sender)
 
 
+@pytest.mark.slow
 def test_the_stack_is_told_when_identities_and_permissions_end(shim, brief):
     """Without the agent, if it must be: the library keeps the time."""
     lab, folder = brief

@@ -44,6 +44,7 @@ def role(nodes, crews, shim):
     return made
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("profile", ["transition", "hybrid", "pq", "cnsa2"])
 def test_two_nodes_talk_and_nobody_can_read_it(nodes, role, crews, requires, profile):
     crew = crews(profile)
@@ -66,6 +67,7 @@ def test_cyclones_own_plugin_makes_no_node_of_these_keys(nodes, crews):
     assert outcome.refused
 
 
+@pytest.mark.slow
 def test_a_node_of_another_domain_with_the_same_names_gets_nothing(nodes, role, crews, shim):
     rogue = role(Does.RECEIVE, "/listener", crew=crews(whose="rogue"))
     before = len(shim.place.log.read_text()) if shim.place.log.exists() else 0
@@ -75,6 +77,7 @@ def test_a_node_of_another_domain_with_the_same_names_gets_nothing(nodes, role, 
     assert "is not signed by this CA" in shim.place.log.read_text()[before:]
 
 
+@pytest.mark.slow
 def test_an_unsecured_node_gets_nothing(nodes, role):
     plain = nodes.role(Does.RECEIVE, "/plain", unauthenticated=True)
     talker, listener = (
@@ -105,6 +108,7 @@ def test_a_topic_that_is_not_granted_ends_the_node(nodes, role):
     assert "[rt/chatter]" in outcome.log
 
 
+@pytest.mark.slow
 def test_an_action_works(nodes, role):
     went = nodes.run_peers(role(Does.ACT, "/guest"), role(Does.SERVE, "/cook"), topic="/cook")
     assert went.outcomes[0].received == "[1, 1, 2]", went.outcomes
@@ -123,6 +127,7 @@ def test_nodes_that_end_at_any_stage_of_a_handshake_end(nodes, role, does):
     assert does is Does.RAISE or all(map(ended, outcomes))
 
 
+@pytest.mark.slow
 def test_a_copy_for_a_robot_is_enough(nodes, role, crews, shim, tmp_path):
     robot = tmp_path / "robot"
     place = robot / "enclaves" / "listener"
@@ -135,6 +140,7 @@ def test_a_copy_for_a_robot_is_enough(nodes, role, crews, shim, tmp_path):
     assert f"Found security directory: {place}" in went.outcomes[1].log
 
 
+@pytest.mark.slow
 def test_nodes_live_again_when_the_agent_was_killed(nodes, role, shim):
     assert ended(nodes.one(role(Does.IDLE, "/talker")))
     shim.kill_agent()

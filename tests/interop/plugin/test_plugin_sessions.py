@@ -62,6 +62,7 @@ def take_back(lab, name):
     revoke(lab.keystore, lab.authorities, [name], reason=Reason.KEY_COMPROMISE, now=lab.now)
 
 
+@pytest.mark.slow
 def test_the_stack_is_told_of_a_peer_that_is_revoked(shim, lab, careless):
     told = []
     listen = Listener(

@@ -73,6 +73,7 @@ def test_data_flows_between_two_whose_keys_are_in_a_token(stage, enclaves):
     assert met(went), logs(went)
 
 
+@pytest.mark.slow
 def test_a_second_key_may_be_in_a_file(stage, token):
     alice, bob = issued(token, "transition")
     assert (alice / "alt.key.pem").read_text().startswith("-----BEGIN PRIVATE KEY")
@@ -89,12 +90,14 @@ def with_uri(role: TrialRole, enclave: Path) -> TrialRole:
     return role
 
 
+@pytest.mark.slow
 def test_the_property_may_have_the_uri_itself(stage, enclaves):
     alice, bob = enclaves
     went = stage.run_peers(with_uri(stage.sender(alice), alice), stage.receiver(bob))
     assert met(went), logs(went)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("form", "words"),
     [

@@ -132,6 +132,7 @@ def logs(report: TrialReport) -> str:
     return "\n".join(f"-- {each.role.name}\n{each.log}" for each in report.trial_run.outcomes)
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", MET)
 def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
     report = reports(name)
@@ -142,6 +143,7 @@ def test_two_meet_and_a_stranger_gets_nothing(reports, requires, name):
     assert report.readable is False
 
 
+@pytest.mark.slow(but=1)
 @pytest.mark.parametrize("name", REFUSED)
 def test_nothing_passes_and_it_is_said_why(reports, name):
     report, said = reports(name), REFUSED[name][2]
@@ -240,6 +242,7 @@ def test_a_process_in_another_root_asks_the_agent_outside(stack_in, labs, ours, 
     assert went.outcomes[1].received == roles[0].text, went.outcomes
 
 
+@pytest.mark.slow
 def test_the_users_own_agent_is_left_alone(laboratory, stack_in, compiler, tmp_path, monkeypatch):
     cyclone = stack_in("cyclonedds", "bookworm")
     runtime = tmp_path / "run"
@@ -288,6 +291,7 @@ def _agents(parent: int) -> list[int]:
     return found
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM])
 def test_a_trial_that_is_stopped_leaves_no_agent(laboratory, stack_in, how):
     case = Case("", profile="pq", alter=come_from_another_ca)
