@@ -16,7 +16,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
 from pqsec_pki.certificates import RevocationList
 from pqsec_pki.credentials import TrustAnchors, certificates_in, only_list
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import FileError, KeystoreError, PqsecError, VerificationError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._fetched_files import WAYS_OUT
@@ -31,6 +31,7 @@ from pqsec_pki.keystore._shared_files import (
 )
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import enclave_files
+from pqsec_pki.problems import Code
 
 _CAS = (layout.IDENTITY_CA, layout.PERMISSIONS_CA, layout.PERMISSIONS_ALT_CA)
 _LIST = layout.LIST_TARGET[layout.LIST]
@@ -65,6 +66,18 @@ class CurrentFiles:
         with keystore.open_ledger() as ledger:
             yield cls(keystore, ledger, _placed=ledger.placed("permissions"))
 
+    @classmethod
+    @contextmanager
+    def if_readable(cls, keystore: Keystore) -> Iterator[Self | None]:
+        """Like `of`; None for a user who may not read the ledger, and so cannot compare."""
+        try:
+            ledger = keystore.open_ledger()
+        except FileError:
+            yield None
+            return
+        with ledger:
+            yield cls(keystore, ledger, _placed=ledger.placed("permissions"))
+
     @property
     def anchors(self) -> TrustAnchors:
         """The CAs that the participants trust, without a list; errors as of `shared`."""
@@ -81,7 +94,8 @@ class CurrentFiles:
     def shared(self) -> Mapping[str, bytes]:
         """The files that all enclaves share, by their names there.
 
-        KeystoreError for a file that is not the newest, or missing, and not in the database.
+        KeystoreError for a file that is older than the newest, or missing, and not in the database;
+        VerificationError for one of which the ledger has no line.
         """
         if not self._shared:
             self._shared.update(self._found())
@@ -216,17 +230,19 @@ class CurrentFiles:
         newest = self.ledger.line_of((wanted.kind,), wanted.sha256)
         return wanted.is_document and self.ledger.line_of((wanted.kind,), sha256) > newest
 
-    def _refused(self, wanted: LedgerFile, path: Path, here: bytes | None) -> KeystoreError:
+    def _refused(self, wanted: LedgerFile, path: Path, here: bytes | None) -> PqsecError:
+        """KeystoreError for an older file, VerificationError for one that the ledger lacks."""
         what = _NAMES.get(wanted.kind, wanted.kind)
-        line = self.ledger.line_of((wanted.kind,), wanted.sha256)
+        line, hint = self.ledger.line_of((wanted.kind,), wanted.sha256), self._way_out(wanted)
         if here is None:
             words = f"{path} is missing: the ledger has a {what} in line {line}"
-        else:
-            sha256 = digest_of(wanted.file, here) or ""
-            older = self.ledger.line_of((wanted.kind,), sha256)
-            is_of = f"it is of line {older}" if older else "it is of no line"
-            words = f"{path} is not the newest {what} that the ledger has: {is_of}, not of {line}"
-        return KeystoreError(words, hint=self._way_out(wanted))
+            return KeystoreError(words, hint=hint)
+        words = f"{path} is not the newest {what} that the ledger has"
+        sha256 = digest_of(wanted.file, here) or ""
+        if older := self.ledger.line_of((wanted.kind,), sha256):
+            return KeystoreError(f"{words}: it is of line {older}, not of {line}", hint=hint)
+        words = f"{words}: it is of no line"
+        return VerificationError(words, code=Code.CONTENT_CHANGED, hint=hint)
 
     def _way_out(self, wanted: LedgerFile) -> str:
         name, elsewhere = wanted.name, self.keystore.ledger_address is not None

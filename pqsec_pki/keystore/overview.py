@@ -71,9 +71,10 @@ def _approvals(keystore: Keystore) -> str:
 
 
 def _cas(keystore: Keystore) -> Iterator[tuple[str, Certificate]]:
-    """Their fingerprints are copied to robots: so they are those of the ledger."""
-    with CurrentFiles.of(keystore) as current:
-        anchors = current.anchors
+    """Their fingerprints are copied to robots: so they are those of the ledger, if the user may
+    read it."""
+    with CurrentFiles.if_readable(keystore) as current:
+        anchors = current.anchors if current else keystore.anchors
     issuing, *others = anchors.identity_cas
     yield "identity CA", issuing
     yield "permissions CA", anchors.permissions_ca

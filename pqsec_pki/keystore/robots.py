@@ -19,7 +19,7 @@ from pqsec_pki.credentials import (
     certificates_in,
     only_list,
 )
-from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.errors import KeystoreError, PqsecError, VerificationError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore.bundle_numbers import BundleNumbers
 from pqsec_pki.keystore.current_files import CurrentFiles
@@ -111,7 +111,7 @@ def _newer(keystore: Keystore) -> dict[tuple[int, int], bytes]:
     """What to read in place of older files, by their device and inode."""
     if keystore.ledger_address is None:
         return {}
-    with CurrentFiles.of(keystore) as current, suppress(KeystoreError):
+    with CurrentFiles.of(keystore) as current, suppress(KeystoreError, VerificationError):
         found = current.newer_elsewhere().items()
         there = ((path.stat(), data) for path, data in found if exists(path))
         return {(status.st_dev, status.st_ino): data for status, data in there}

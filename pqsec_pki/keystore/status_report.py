@@ -10,7 +10,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, read
 from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.documents import Governance, Grant, Permissions
-from pqsec_pki.errors import KeystoreError, MissingError, located
+from pqsec_pki.errors import KeystoreError, MissingError, VerificationError, located
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
@@ -150,7 +150,7 @@ def signed_governance(keystore: Keystore) -> Governance:
 def _governance(keystore: Keystore) -> bytes:
     """The signed governance, also one that another machine with its ledger made since."""
     if keystore.ledger_address:
-        with CurrentFiles.of(keystore) as current, suppress(KeystoreError):
+        with CurrentFiles.of(keystore) as current, suppress(KeystoreError, VerificationError):
             return current.shared[layout.GOVERNANCE]
     return keystore.governance
 

@@ -86,9 +86,10 @@ def fleet_in(
     """The participants of a keystore; those without a grant by any of `readings` are left out.
 
     `anchors` are those of the keystore, if they were read before. KeystoreError if the governance,
-    the list or a CA is not the current one (`CurrentFiles`), unless it is not to be `compared`.
+    the list or a CA is not the current one (`CurrentFiles`), unless it is not to be `compared`, or
+    this user may not read the ledger.
     """
-    with CurrentFiles.of(keystore) if compared else nullcontext() as current:
+    with CurrentFiles.if_readable(keystore) if compared else nullcontext() as current:
         if current:
             current.refuse_others_of_all()
         return _fleet_of(keystore, now, readings, anchors or keystore.anchors, current)

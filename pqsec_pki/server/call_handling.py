@@ -4,7 +4,8 @@ Requests that came at the same time are issued in one change of the keystore. An
 from what the keystore has then, so the answer to a repeated request is the same.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import field, replace
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -89,7 +90,8 @@ class CallHandler:
         if self.revocation_list is None:
             return False
         with self.keystore.hold(keep_connection=True):
-            self._whole_ledger().close()
+            with self._whole_ledger():
+                pass
             self._fetch_shared()
             return keep_list(
                 self.keystore, self.authorities, self.revocation_list, now=self.clock()
@@ -146,11 +148,11 @@ class CallHandler:
         if not calls:
             return []
         with self.keystore.hold(keep_connection=True):
-            try:
-                ledger = self._whole_ledger()
-            except PqsecError as error:
-                return [unavailable(error)] * len(calls)
-            with ledger:
+            with ExitStack() as opened:
+                try:
+                    ledger = opened.enter_context(self._whole_ledger())
+                except PqsecError as error:
+                    return [unavailable(error)] * len(calls)
                 deciding = self._admission(ledger)
                 found = [decided(deciding.of, each) for each in calls]
                 admitted = [each for each in found if isinstance(each, Admitted)]
@@ -178,16 +180,13 @@ class CallHandler:
                     for call, each in zip(calls, found, strict=True)
                 ]
 
-    def _whole_ledger(self) -> Ledger:
+    @contextmanager
+    def _whole_ledger(self) -> Iterator[Ledger]:
         """The ledger; VerificationError if it lacks lines that were there (`SeenLedger`)."""
-        ledger = self.keystore.as_found.open_ledger()
-        try:
+        with self.keystore.as_found.open_ledger() as ledger:
             self.seen.refuse_less(self.keystore.root, ledger)
             self._recover_clock(ledger)
-        except BaseException:
-            ledger.close()
-            raise
-        return ledger
+            yield ledger
 
     def _recover_clock(self, ledger: Ledger) -> None:
         """Issue a list now if the clock was ahead: its line comes before what is issued."""

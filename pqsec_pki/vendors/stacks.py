@@ -43,10 +43,13 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     refusal = _refusal(exporter, enclave, errors, options, now)
     if refusal and not options.anyway:
         raise refusal
-    older = _not_current(keystore, enclave.name)
-    if older and not options.anyway:
-        raise older
-    refused = [*map(str, refusal.problems if refusal else ()), *([str(older)] if older else ())]
+    refused = [*map(str, refusal.problems if refusal else ())]
+    try:
+        refused += _not_compared(keystore, enclave.name)
+    except (KeystoreError, VerificationError) as error:
+        if not options.anyway:
+            raise
+        refused.append(str(error))
     profile = enclave.profile if options.plugin else None
     sizes = [each.message for each in largest_messages(report.inventory, profile)]
     datagrams = _datagrams.notes(exporter.stack, enclave, options, max(sizes, default=0))
@@ -57,14 +60,16 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     )
 
 
-def _not_current(keystore: Keystore, name: str) -> KeystoreError | None:
-    """The error for files that are not the current ones: a stack reads them where they are."""
-    try:
-        with CurrentFiles.of(keystore) as current:
-            current.refuse_others(name)
-    except KeystoreError as error:
-        return error
-    return None
+def _not_compared(keystore: Keystore, name: str) -> list[str]:
+    """A warning if the user may not read the ledger.
+
+    Errors as of `CurrentFiles.enclave`: a stack reads the files where they are.
+    """
+    with CurrentFiles.if_readable(keystore) as current:
+        if current is None:
+            return ["you may not read the ledger: the files may be older than what it has"]
+        current.refuse_others(name)
+    return []
 
 
 def _refusal(
