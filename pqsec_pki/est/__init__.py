@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         REQUESTS,
         REVOCATION_LIST,
         TEXT,
+        WAS_REVOKED,
     )
     from pqsec_pki.est.robot import Obtained, deliver_receipt, enrol, renew
     from pqsec_pki.est.signing import (
@@ -83,6 +84,7 @@ __all__ = [
     "REVOCATION_LIST",
     "SCHEME",
     "TEXT",
+    "WAS_REVOKED",
     "EnrolmentToken",
     "EstClient",
     "KeyTerms",

@@ -22,7 +22,7 @@ from OpenSSL import SSL
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.enrolment import MAX_ARCHIVE
 from pqsec_pki.errors import PqsecError, VerificationError, shown
-from pqsec_pki.est.paths import PROBLEM, REQUEST_ENDED
+from pqsec_pki.est.paths import PROBLEM, REQUEST_ENDED, WAS_REVOKED
 from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.stream import TlsStream
 from pqsec_pki.est.tls import ServerTrust, TlsIdentity, client_context
@@ -45,6 +45,10 @@ MOST_PLACES = 4
 """Addresses of one name that are tried, one after the other."""
 _Place: TypeAlias = tuple[socket.AddressFamily, tuple[Any, ...]]
 """An address, as the system's calls have it."""
+_READMISSION = (
+    "if it came back, `pqsec enrolment-token create NAME --replace --after-revocation` makes a"
+    " token for it at the server, and `pqsec enrol --force` with that a new key here"
+)
 
 
 class RequestEndedError(VerificationError):
@@ -179,8 +183,10 @@ class EstClient:
             raise TryAnotherError(words, hint="run the command again later")
         if status in _LATER or status >= HTTPStatus.INTERNAL_SERVER_ERROR:
             raise PqsecError(words, hint="run the command again later")
-        ended = problem.get("type") == REQUEST_ENDED
-        raise RequestEndedError(words) if ended else VerificationError(words)
+        if problem.get("type") == REQUEST_ENDED:
+            raise RequestEndedError(words)
+        revoked = problem.get("type") == WAS_REVOKED
+        raise VerificationError(words, hint=_READMISSION if revoked else None)
 
 
 class _Https(HTTPConnection):

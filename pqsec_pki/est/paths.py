@@ -15,3 +15,5 @@ PROBLEM, TEXT = "application/problem+json", "text/plain; charset=utf-8"
 REQUEST_ENDED = "/pqsec/v1/problems/request-ended"
 """The type of a problem (RFC 9457 3.1.1): the server never answers this request, and may answer
 another one."""
+WAS_REVOKED = "/pqsec/v1/problems/revoked"
+"""Likewise: the participant was revoked, and only a token that was made since admits it."""

@@ -19,7 +19,7 @@ from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.domain import Desired, Member, has_rights
 from pqsec_pki.enrolment import NAMELESS, name_asked_for, validate_csrs
 from pqsec_pki.errors import MalformedError, VerificationError
-from pqsec_pki.est import REQUEST_ENDED
+from pqsec_pki.est import REQUEST_ENDED, WAS_REVOKED
 from pqsec_pki.keystore import (
     ADMISSION,
     ORDER,
@@ -45,10 +45,6 @@ from pqsec_pki.server.token_lines import TokenState, admission_entry, request_of
 from pqsec_pki.server.waiting import WaitingRequests
 
 _NO_CREDENTIAL = "show an enrolment token, or a client certificate"
-_READMIT = (
-    "if it came back, `pqsec enrolment-token create {} --replace --after-revocation` makes a token"
-    " for it, and `pqsec enrol --force` a new key"
-)
 _ORDERED = "an order"
 """The name of an admission by an order of a registration authority."""
 _BY_ORDER = "is enrolled by a registration authority's order, and no order has this request"
@@ -125,7 +121,7 @@ class Admission:
         if held is None or not held.revoked:
             return
         if token is None or token.readmits <= self.ledger.line_of(REVOCATIONS, held.sha256):
-            raise NotAdmittedError(403, f"{held.name} was revoked: {_READMIT.format(held.name)}")
+            raise NotAdmittedError(403, f"{held.name} was revoked", problem=WAS_REVOKED)
 
     def _again(
         self,

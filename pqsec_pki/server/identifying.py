@@ -11,6 +11,7 @@ from pqsec_pki._times import said
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.domain import Member
 from pqsec_pki.errors import VerificationError
+from pqsec_pki.est import WAS_REVOKED
 from pqsec_pki.keystore import Entry, Ledger
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
@@ -102,7 +103,8 @@ class Requesters:
             raise NotAdmittedError(403, "the client certificate was not issued here")
         revoked = self.lines("revocation", name)
         if any(each.sha256 == certificate.fingerprint for each in revoked):
-            raise NotAdmittedError(403, "the client certificate was revoked")
+            words = "the client certificate was revoked"
+            raise NotAdmittedError(403, words, problem=WAS_REVOKED)
         if self.now < certificate.not_before:
             began = said(certificate.not_before)
             raise NotAdmittedError(403, f"its certificate is not valid before {began}")

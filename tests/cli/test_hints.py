@@ -27,8 +27,8 @@ JUSTIFIED = {
     "remove it from the file; or, if it came back, `pqsec enrolment-token create {} --replace"
     " --after-revocation`, or `pqsec issue --csr` with --force --after-revocation, and apply it"
     " again": IF_WANTED,
-    "if it came back, `pqsec enrolment-token create {} --replace --after-revocation` makes a token"
-    " for it, and `pqsec enrol --force` a new key": IF_WANTED,
+    "if it came back, `pqsec enrolment-token create NAME --replace --after-revocation` makes a"
+    " token for it at the server, and `pqsec enrol --force` with that a new key here": IF_WANTED,
     "on the robot: `pqsec enrol --force` makes a new key for *": IF_WANTED,
     "`pqsec propose issue --csr FILE --force --after-revocation` proposes it": IF_WANTED,
     "* bundle *--outdated --no-keys --bundles bundles --force": NEWEST,

@@ -192,7 +192,7 @@ def test_a_revoked_certificate_gets_nothing(server, tmp_path):
     ):
         assert (reply.status, reply.detail) == (403, "the client certificate was revoked")
     reply = server.ask(robot.new(), token=server.token("/*"))
-    assert (reply.status, reply.detail.partition(":")[0]) == (403, "/other was revoked")
+    assert (reply.status, reply.detail) == (403, "/other was revoked")
 
 
 @pytest.mark.parametrize(

@@ -197,7 +197,7 @@ def test_what_was_ordered_and_revoked_is_given_to_nobody(ordering):
     assert ordering.ask(request).status == 200
     ordering.cli("revoke", "/revoked", "--yes")
     reply = ordering.ask(request)
-    assert (reply.status, reply.detail.partition(":")[0]) == (403, "/revoked was revoked")
+    assert (reply.status, reply.detail) == (403, "/revoked was revoked")
 
 
 def test_a_renewal_gives_no_other_rights_than_the_order_did(ordering):
