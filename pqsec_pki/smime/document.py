@@ -58,7 +58,6 @@ class FoundSignature:
             "family": self.algorithm.family.value,
             "countersignature": self.countersignature,
             "signed_at": self.signed_at,
-            "number": self.number,
         }
 
 
