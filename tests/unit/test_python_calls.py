@@ -147,10 +147,11 @@ def test_in_an_overlap_both_identity_cas_are_in_use(keystore):
     overlap = Overlap.of(keystore)
     both = {overlap.issuing.fingerprint, overlap.other.fingerprint}
     assert pins_in_use(keystore)[IDENTITY_CA] == both
-    # A second CA that no overlap put there is not trusted.
+    # A second CA that no overlap put there is not trusted, and robots would refuse the file.
     path = keystore.root / "public/identity_ca.cert.pem"
     path.write_bytes(overlap.issuing.pem + keystore.permissions_ca.pem)
-    assert pins_in_use(keystore)[IDENTITY_CA] == {overlap.issuing.fingerprint}
+    with pytest.raises(KeystoreError, match="does not have the CA certificates that"):
+        pins_in_use(keystore)
 
 
 def test_apply_creates_a_keystore_and_changes_it(tmp_path):

@@ -194,6 +194,9 @@ def test_a_list_remembers_what_the_ledger_lost(keystore, tmp_path):
     lost = listed(keystore)
     shutil.rmtree(keystore.root / "private")
     shutil.copytree(tmp_path / "before", keystore.root / "private")
+    with pytest.raises(KeystoreError, match="the ledger lacks lines"):
+        renew_list(keystore, keystore.unlock(None), now=NOW)
+    (keystore.root / "public/ledger.checkpoint").unlink()  # the loss is accepted
     crl = renew_list(keystore, keystore.unlock(None), now=NOW)
     assert crl.number == 2
     assert listed(keystore) == lost
