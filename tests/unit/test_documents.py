@@ -307,6 +307,8 @@ def test_domains_the_stacks_disagree_on_are_refused(part):
     [
         ("2026-03-01T12:00:00", datetime(2026, 3, 1, 12, tzinfo=UTC)),
         ("2026-03-01T12:00:00Z", datetime(2026, 3, 1, 12, tzinfo=UTC)),
+        (" 2026-03-01T12:00:00Z", datetime(2026, 3, 1, 12, tzinfo=UTC)),
+        ("\n\t2026-03-01T12:00:00+05:30 ", datetime(2026, 3, 1, 6, 30, tzinfo=UTC)),
         ("2026-03-01T12:00:00Z \n", datetime(2026, 3, 1, 12, tzinfo=UTC)),
         ("2026-03-01T12:00:00+05:30", datetime(2026, 3, 1, 6, 30, tzinfo=UTC)),
         ("2026-03-01T12:00:00-14:00", datetime(2026, 3, 2, 2, tzinfo=UTC)),
