@@ -36,7 +36,8 @@ class ReadAttribute(x509.NameAttribute[str | bytes]):
     """An attribute that was read from a certificate, with the DER of its value."""
 
     def __init__(self, oid: Oid, value: str | bytes, der: bytes) -> None:
-        super().__init__(oid, value, _ASN1Type(der[0]), _validate=False)
+        # Not by its own __init__, which warns about lengths, and refuses some BIT STRINGs.
+        self._oid, self._value, self._type = oid, value, _ASN1Type(der[0])
         self.der = der
 
 
