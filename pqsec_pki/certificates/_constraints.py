@@ -42,6 +42,9 @@ def violations(leaf: Certificate, authority: Certificate) -> Iterator[str]:
     if _has_bounds(authority):
         yield "they have a minimum or maximum"
         return
+    mails = leaf.subject.get_attributes_for_oid(NameOID.EMAIL_ADDRESS)
+    if any(not isinstance(each, ReadAttribute) or each.der[0] != _IA5 for each in mails):
+        yield "a mail address in its subject is not an IA5String"  # whatever they are for
     for name in _names(leaf):
         permitted = _bases(limits.permitted_subtrees, name.form)
         excluded = _bases(limits.excluded_subtrees, name.form)
@@ -68,8 +71,7 @@ def _names(leaf: Certificate) -> Iterator[_Name]:
         yield _Name(x509.DirectoryName, leaf.subject_der)
     for each in leaf.subject.get_attributes_for_oid(NameOID.EMAIL_ADDRESS):
         text = str(each.value)
-        is_ascii = isinstance(each, ReadAttribute) and each.der[0] == _IA5 and "@" in text
-        yield _Name(x509.RFC822Name, text, is_ascii)
+        yield _Name(x509.RFC822Name, text, "@" in text)
     others = leaf.extension(x509.SubjectAlternativeName) or ()
     yield from map(_alternative, others)
     if any(isinstance(each, x509.DNSName) for each in others):
@@ -118,12 +120,10 @@ def _in_uri(name: str, base: str) -> bool:
 
 
 def _host(uri: str) -> str:
-    """The host as OpenSSL cuts it out; empty if there is none."""
-    _, slashes, rest = uri.partition(":")
-    if not slashes or not rest.startswith("//"):
-        return ""
-    rest = rest[2:]
-    return rest[: rest.index(":")] if ":" in rest else rest.partition("/")[0]
+    """The host; empty if there is none, or versions of OpenSSL differ: a path with a colon."""
+    rest = uri.partition(":")[2]
+    host, _, path = rest.removeprefix("//").partition("/")
+    return host.partition(":")[0] if rest.startswith("//") and ":" not in path else ""
 
 
 _FORMS: dict[type[x509.GeneralName], Callable[[Any, Any], bool]] = {
