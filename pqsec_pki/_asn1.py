@@ -43,6 +43,7 @@ __all__ = [
     "Extension",
     "IssuerAndSerialNumber",
     "KeyReference",
+    "NameHolder",
     "Oid",
     "OneAsymmetricKey",
     "PBES2Params",
@@ -252,6 +253,21 @@ class DirectoryAttributes:
     """The extension subjectDirectoryAttributes with one attribute (RFC 5280 4.2.1.8)."""
 
     attribute: Attribute
+
+
+@sequence
+class AttributeTypeAndValue:
+    """A part of a name (RFC 5280 4.1.2.4)."""
+
+    type: Oid
+    value: TLV
+
+
+@sequence
+class NameHolder:
+    """A SEQUENCE with a Name in it: only a class can be decoded."""
+
+    name: list[SetOf[AttributeTypeAndValue]]
 
 
 # RFC 5958 (PKCS#8), RFC 5915, RFC 9881 6

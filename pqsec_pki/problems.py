@@ -38,6 +38,8 @@ class Code(StrEnum):
     """A CA's certificate instead of a participant's."""
     KEY_USAGE = "key-usage"
     CRITICAL_EXTENSION = "critical-extension"
+    NAME_CONSTRAINTS = "name-constraints"
+    """A name that the CA may not issue for."""
     EXPIRED = "expired"
     NOT_YET_VALID = "not-yet-valid"
     WRONG_ISSUER = "wrong-issuer"
@@ -63,6 +65,8 @@ class Code(StrEnum):
     LIST_NOT_YET_VALID = "list-not-yet-valid"
     LIST_WRONG_ISSUER = "list-wrong-issuer"
     LIST_BAD_SIGNATURE = "list-bad-signature"
+    LIST_SCOPE = "list-scope"
+    """A list for other certificates, for some reasons, or of changes only."""
 
     # Trust, and its roles
     ONE_KEY_TWO_ROLES = "one-key-two-roles"

@@ -27,6 +27,8 @@ from pqsec_pki.algorithms import (
 )
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import lone_common_name, name_line, name_text
+from pqsec_pki.certificates._plain import plain_certificate
+from pqsec_pki.certificates._rdns import read_name, same_name
 from pqsec_pki.certificates._sequence import sequence_number_in
 from pqsec_pki.errors import MalformedError, PqsecError, library_call
 
@@ -75,11 +77,7 @@ class Certificate:
         serial, inner, issuer, _, subject, spki = elements(tbs, first + 6, "certificate")[first:]
         if inner != identifier:
             raise MalformedError("the certificate names two different signature algorithms")
-        # Before the library reads it, because it warns about such numbers.
-        serial_number = int.from_bytes(content(serial), signed=True)
-        if serial_number <= 0:
-            raise MalformedError("the certificate's serial number is not positive")
-        parsed = _parsed(der, issuer)
+        parsed = _parsed(der, subject, issuer)
         if content(signature)[0]:
             raise MalformedError("the certificate's signature is not a whole number of bytes")
         if subject == issuer:
@@ -89,7 +87,7 @@ class Certificate:
             tbs=tbs,
             subject_der=subject,
             issuer_der=issuer,
-            serial_number=serial_number,
+            serial_number=decode(int, serial, "serial number"),  # 4.1.2.2: any, also 0
             spki=spki,
             identifier=identifier,
             alternative=Alternative.of(tbs, parsed["extensions"]),
@@ -260,7 +258,11 @@ class Certificate:
     @property
     def is_self_issued(self) -> bool:
         """Whether subject and issuer are the same name (RFC 5280 3.2)."""
-        return self.subject_der == self.issuer_der
+        return same_name(self.subject_der, self.issuer_der)
+
+    def names_issuer(self, ca: "Certificate") -> bool:
+        """Whether the issuer's name is that of `ca` (RFC 5280 6.1.3 (a)(4))."""
+        return same_name(self.issuer_der, ca.subject_der)
 
 
 _IN_USE: WeakValueDictionary[bytes, Certificate] = WeakValueDictionary()
@@ -269,13 +271,15 @@ _AUTHORITIES: WeakValueDictionary[bytes, x509.Name] = WeakValueDictionary()
 """DER -> the name, of CAs in use: what they issued shares it, so it is parsed once."""
 
 
-def _parsed(der: bytes, issuer: bytes) -> dict[str, Any]:
-    """The fields that cryptography parses, some of them only when they are asked for, as here."""
+def _parsed(der: bytes, subject: bytes, issuer: bytes) -> dict[str, Any]:
+    """The names, and what cryptography parses, some of it only when it is asked for, as here."""
+    names = {
+        "subject": read_name(subject),
+        "issuer": _AUTHORITIES.get(issuer) or read_name(issuer),
+    }
     with library_call(lambda error: MalformedError(f"not a certificate: {plain_words(error)}")):
-        found = x509.load_der_x509_certificate(der)
-        return {
-            "subject": found.subject,
-            "issuer": _AUTHORITIES.get(issuer) or found.issuer,
+        found = x509.load_der_x509_certificate(plain_certificate(der))
+        return names | {
             "version": found.version.value + 1,
             "not_before": found.not_valid_before_utc,
             "not_after": found.not_valid_after_utc,

@@ -14,17 +14,38 @@ from cryptography import x509
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import exact
 from pqsec_pki.algorithms import broken_digest
+from pqsec_pki.certificates._constraints import violations
+from pqsec_pki.certificates._issuers import names_another
+from pqsec_pki.certificates._rdns import same_name
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.problems import Code, Problem
 
 _CA = "the CA certificate"
-_UNDERSTOOD = {"2.5.29.19", "2.5.29.15", "2.5.29.37"}
-"""basicConstraints, keyUsage, extKeyUsage: critical extensions that are accepted.
+_UNDERSTOOD = {
+    "2.5.29.15",  # keyUsage
+    "2.5.29.17",  # subjectAltName
+    "2.5.29.19",  # basicConstraints
+    "2.5.29.30",  # nameConstraints
+    "2.5.29.31",  # cRLDistributionPoints
+    "2.5.29.32",  # certificatePolicies
+    "2.5.29.33",  # policyMappings
+    "2.5.29.36",  # policyConstraints
+    "2.5.29.37",  # extKeyUsage
+    "2.5.29.54",  # inhibitAnyPolicy
+    "2.16.840.1.113730.1.1",  # Netscape's certificate type
+    "1.3.6.1.5.5.7.48.1.5",  # no check by OCSP
+    "1.3.6.1.5.5.7.1.7",  # addresses (RFC 3779), of a CA
+    "1.3.6.1.5.5.7.1.8",  # numbers of autonomous systems (RFC 3779), of a CA
+}
+"""Critical extensions that are accepted: by every measured stack, too.
 
-No purpose is defined for DDS participants, so any extKeyUsage is accepted, as in every
-measured stack.
+No purpose is defined for DDS participants, so any extKeyUsage and certificate type is accepted. No
+policy is required, so that any set of policies is (6.1.1, with an empty user-initial-policy-set).
 """
+_PROXY = x509.ObjectIdentifier("1.3.6.1.5.5.7.1.14")
+_RESOURCES = {x509.ObjectIdentifier(f"1.3.6.1.5.5.7.1.{number}") for number in (7, 8)}
+"""RFC 3779. OpenSSL accepts those of a participant only if its CA has them too."""
 
 
 def verify_chain(
@@ -92,7 +113,7 @@ def _find_lasting_problems(authority: Certificate, who: str) -> Iterator[Problem
     # 6.1.4 (o): unknown critical extensions
     yield from _critical_problems(authority, who)
     # DDS stacks accept only self-signed CAs; the signature must be by its own key
-    if not authority.is_self_issued:
+    if not authority.is_self_issued or names_another(authority.extensions, authority):
         yield Problem(f"{who} is not self-signed", Code.NOT_SELF_SIGNED)
     elif not authority.signed(authority):
         yield _signature_problem(
@@ -108,18 +129,30 @@ def _signature_problem(certificate: Certificate, who: object, otherwise: str) ->
 
 def _leaf_problems(leaf: Certificate, authority: Certificate, now: datetime) -> Iterator[Problem]:
     who = _Holder(leaf)
-    # 6.1.3 (a)(4): the issuer's name, byte for byte
-    if leaf.issuer_der != authority.subject_der:
+    # 6.1.3 (a)(4): the issuer's name
+    if not leaf.names_issuer(authority):
         issuer, expected = leaf.issuer_name, authority.subject_name
         yield Problem(f"{who} was issued by {issuer}, not by {expected}", Code.WRONG_ISSUER)
     # 6.1.3 (a)(1): the signature
     elif not authority.signed(leaf):
         unsigned = f"{who} is not signed by this CA (same name, another key, or altered)"
         yield _signature_problem(leaf, who, unsigned)
+    # 4.2.1.1: the issuer's key, serial number and issuer, if it names them
+    elif names_another(leaf.extensions, authority):
+        words = "was issued by another key or certificate of the CA (authorityKeyIdentifier)"
+        yield Problem(f"{who} {words}", Code.WRONG_ISSUER)
+    # OpenSSL takes it for a CA, signed with its own key
+    if same_name(leaf.subject_der, authority.subject_der):
+        yield Problem(f"{who} has the name of the CA", Code.NOT_PARTICIPANT)
     # 6.1.3 (a)(2): validity
     yield from _validity_problems(leaf, who, now)
+    # 6.1.3 (b), (c): names
+    for words in violations(leaf, authority):
+        yield Problem(f"{who} violates the CA's nameConstraints: {words}", Code.NAME_CONSTRAINTS)
     # 6.1.5 (f): unknown critical extensions
     yield from _critical_problems(leaf, who)
+    if not _RESOURCES.isdisjoint(each.oid for each in leaf.extensions):
+        yield Problem(f"{who} has addresses or numbers (RFC 3779)", Code.CRITICAL_EXTENSION)
     # 4.2.1.9: a participant is not a CA
     constraints = leaf.extension(x509.BasicConstraints)
     if constraints is not None and constraints.ca:
@@ -156,6 +189,9 @@ def _alternative_problems(
 
 def _critical_problems(certificate: Certificate, who: object) -> Iterator[Problem]:
     for extension in certificate.extensions:
+        if extension.oid == _PROXY:
+            yield Problem(f"{who} is a proxy certificate (RFC 3820)", Code.CRITICAL_EXTENSION)
+            continue
         if extension.critical and extension.oid.dotted_string not in _UNDERSTOOD:
             yield Problem(
                 f"{who} has an unknown critical extension {extension.oid.dotted_string}",

@@ -1,7 +1,7 @@
 """Revocation lists (RFC 5280 5): parse and verify them.
 
-Only complete lists of one CA are supported. A list for other issuers, or for some
-certificates only, has a critical extension and is refused.
+Only lists of one CA and for all reasons are supported. One for other issuers, for some reasons, or
+of changes only is refused, also if the extension that says so is not critical.
 """
 
 from collections.abc import Iterator
@@ -17,11 +17,17 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import first_pem, pem
 from pqsec_pki.certificates._alternative import Alternative
+from pqsec_pki.certificates._issuers import names_another
 from pqsec_pki.certificates._names import name_text
+from pqsec_pki.certificates._plain import plain_list
+from pqsec_pki.certificates._rdns import read_name, same_name
+from pqsec_pki.certificates._scope import covers, limits
 from pqsec_pki.certificates.certificate import Certificate
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, library_call
 from pqsec_pki.problems import Code, Problem
 
+_REMOVED = x509.ReasonFlags.remove_from_crl.value
+_UNDERSTOOD = {x509.IssuingDistributionPoint.oid, x509.AuthorityKeyIdentifier.oid}
 MAX_LIST = 8 << 20
 """Bytes of PEM: some 150,000 certificates."""
 _LINE, _LINE_OCTETS = 65, 48
@@ -40,6 +46,8 @@ class RevokedCertificate:
     """The reason as in RFC 5280 5.3.1, such as keyCompromise; None if the list has none."""
     critical: tuple[str, ...] = ()
     """Critical extensions of the entry, dotted."""
+    of_another_issuer: bool = False
+    """Whether it has a certificateIssuer (5.3.3)."""
 
 
 @dataclass(frozen=True, eq=False)  # no slots, for cached properties
@@ -69,15 +77,17 @@ class RevocationList:
             raise MalformedError(f"a revocation list larger than {MAX_DER} bytes")
         signed = decode(Signed, der, "revocation list")
         tbs_der = encode(signed.tbs)
-        tbs = decode(TBSCertList, tbs_der, "revocation list")
+        plain, plain_tbs = plain_list(der)
+        tbs = decode(TBSCertList, plain_tbs, "revocation list")
         if encode(tbs.signature) != encode(signed.signature_algorithm):
             raise MalformedError("the revocation list names two different signature algorithms")
-        issuer, extensions, revoked = _library_view(der)
+        issuer_der = encode(tbs.issuer)
+        extensions, revoked = _library_view(plain)
         return cls(
             der=der,
             tbs=tbs_der,
-            issuer=issuer,
-            issuer_der=encode(tbs.issuer),
+            issuer=read_name(issuer_der),
+            issuer_der=issuer_der,
             this_update=moment_of(tbs.this_update),
             next_update=moment_of(tbs.next_update) if tbs.next_update else None,
             number=_number(extensions),
@@ -98,6 +108,10 @@ class RevocationList:
         """The revocation list in PEM."""
         return pem("X509 CRL", self.der)
 
+    def names_issuer(self, ca: Certificate) -> bool:
+        """Whether the issuer's name is that of `ca`."""
+        return same_name(self.issuer_der, ca.subject_der)
+
     def to_json(self) -> dict[str, object]:
         """Its number, the count of its certificates and when the next is due, for JSON."""
         return {
@@ -108,13 +122,22 @@ class RevocationList:
 
     def revocation_of(self, certificate: Certificate) -> RevokedCertificate | None:
         """The entry that revokes `certificate`, if this is its issuer's list and has one."""
-        if certificate.issuer_der != self.issuer_der:
+        if not same_name(certificate.issuer_der, self.issuer_der):
             return None
         return self._by_serial.get(certificate.serial_number)
 
+    def covers(self, certificate: Certificate) -> bool:
+        """Whether the list says of `certificate` whether it is revoked, for any reason.
+
+        One with a distribution point is for the certificates that name it (RFC 5280 6.3.3).
+        """
+        return covers(self.extensions, self.issuer_der, certificate)
+
     @cached_property
     def _by_serial(self) -> dict[int, RevokedCertificate]:
-        return {each.serial_number: each for each in reversed(self.revoked)}
+        # Stacks ignore removeFromCRL, which only changes to a list can have (5.3.1)
+        lasting = (each for each in reversed(self.revoked) if each.reason != _REMOVED)
+        return {each.serial_number: each for each in lasting}
 
     def verify(self, ca: Certificate, *, require_alternative: bool = False) -> None:
         """Return if `ca` issued this list and it has no unknown critical extension.
@@ -157,6 +180,10 @@ def verify_not_revoked(
         *_lasting_problems(revoked, ca, required=require_alternative),
         *revoked.validity_problems(now),
     ]
+    if not revoked.covers(certificate):
+        who = certificate.subject_name
+        words = f"the revocation list is not for the certificate of {who} (distribution point)"
+        problems.append(Problem(words, Code.LIST_SCOPE))
     entry = revoked.revocation_of(certificate)
     if entry:
         reason = f" ({entry.reason})" if entry.reason else ""
@@ -177,19 +204,27 @@ def _lasting_problems(
     return (
         *_issuer_problems(crl, ca),
         *_alternative_problems(crl, ca, required=required),
+        *_scope_problems(crl),
         *_critical_problems(crl),
     )
 
 
 def _issuer_problems(crl: RevocationList, ca: Certificate) -> Iterator[Problem]:
-    # RFC 5280 6.3.3 (b): the issuer's name, byte for byte
-    if crl.issuer_der != ca.subject_der:
+    # RFC 5280 6.3.3 (b): the issuer's name
+    if not crl.names_issuer(ca):
         issuer = name_text(crl.issuer)
         yield Problem(
             f"the revocation list was issued by {issuer}, not by {ca.subject_name}",
             Code.LIST_WRONG_ISSUER,
         )
         return
+    # (c): the issuer's key, if the list names it
+    if names_another(crl.extensions, ca):
+        yield Problem(
+            "the revocation list names another key or certificate of the CA"
+            " (authorityKeyIdentifier)",
+            Code.LIST_WRONG_ISSUER,
+        )
     # (f): cRLSign, if keyUsage is present
     usage = ca.extension(x509.KeyUsage)
     if usage is not None and not usage.crl_sign:
@@ -227,10 +262,19 @@ def _alternative_problems(
         )
 
 
+def _scope_problems(crl: RevocationList) -> Iterator[Problem]:
+    # RFC 5280 5.2.4, 5.2.5: also if the extension is wrongly not critical
+    for words in limits(crl.extensions):
+        yield Problem(f"the revocation list is not complete: {words}", Code.LIST_SCOPE)
+    if any(each.of_another_issuer for each in crl.revoked):
+        words = "the revocation list has entries of other CAs (certificateIssuer)"
+        yield Problem(words, Code.LIST_SCOPE)
+
+
 def _critical_problems(crl: RevocationList) -> Iterator[Problem]:
     # RFC 5280 5.2, 5.3: a list with unknown critical extensions must not be used
     for extension in crl.extensions:
-        if extension.critical:
+        if extension.critical and extension.oid not in _UNDERSTOOD:
             oid = extension.oid.dotted_string
             yield Problem(
                 f"the revocation list has an unknown critical extension {oid}",
@@ -243,24 +287,25 @@ def _critical_problems(crl: RevocationList) -> Iterator[Problem]:
         )
 
 
-_View = tuple[x509.Name, x509.Extensions, tuple[RevokedCertificate, ...]]
+_View = tuple[x509.Extensions, tuple[RevokedCertificate, ...]]
 
 
 def _library_view(der: bytes) -> _View:
     with library_call(lambda error: MalformedError(f"not a revocation list: {plain_words(error)}")):
         parsed = x509.load_der_x509_crl(der)
-        return parsed.issuer, parsed.extensions, tuple(map(_revoked, parsed))
+        return parsed.extensions, tuple(map(_revoked, parsed))
 
 
 def _revoked(entry: x509.RevokedCertificate) -> RevokedCertificate:
-    reason, critical = None, []
+    reason, foreign, critical = None, False, []
     for extension in entry.extensions:
         if isinstance(extension.value, x509.CRLReason):
             reason = extension.value.reason.value
-        elif extension.critical:
+        foreign |= isinstance(extension.value, x509.CertificateIssuer)
+        if extension.critical:  # also a reason: stacks refuse the list
             critical.append(extension.oid.dotted_string)
     when = entry.revocation_date_utc
-    return RevokedCertificate(entry.serial_number, when, reason, tuple(critical))
+    return RevokedCertificate(entry.serial_number, when, reason, tuple(critical), foreign)
 
 
 def _number(extensions: x509.Extensions) -> int | None:

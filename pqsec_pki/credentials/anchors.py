@@ -179,7 +179,7 @@ class TrustAnchors:
         With a revocation list, which is the first CA's, the other CAs are ignored.
         """
         for each in () if self.revocation_list else self.identity_cas[1:]:
-            if each.subject_der == certificate.issuer_der and each.signed(certificate):
+            if certificate.names_issuer(each) and each.signed(certificate):
                 return each
         return self.identity_ca
 

@@ -33,7 +33,7 @@ _KIND_OF_CONTENT = {"domain_access_rules": Kind.GOVERNANCE, "permissions": Kind.
 
 _TYPES = {
     "xs:boolean": "true or false",
-    "xs:dateTime": "a time such as 2030-01-31T00:00:00Z",
+    "Time": "a time such as 2030-01-31T00:00:00Z",
     "xs:nonNegativeInteger": "a domain id, 0 or more",
 }
 
@@ -48,7 +48,7 @@ _OTHERS = (
      "is not complete; expected next: {right}"),
     (r"\[facet 'enumeration'\] The value '(?P<wrong>.*)' is not .* the set \{(?P<right>.*)\}\.",
      "'{wrong}' is not one of {right}"),
-    (r"'(?P<wrong>.*)' is not a valid value of the atomic type '(?P<right>.*)'\.",
+    (r"'(?P<wrong>.*)' is not a valid value of the (?:atomic|union) type '(?P<right>.*)'\.",
      "'{wrong}' is not {right}"),
     (r"The attribute '(?P<wrong>.*)' is not allowed\.", "has no attribute '{wrong}'"),
     (r"The attribute '(?P<right>.*)' is required but missing\.", "lacks its attribute '{right}'"),

@@ -19,7 +19,7 @@ MAX_SUBJECT = 4096
 """Characters. Subject names of real certificates are much shorter."""
 
 _SPACE = " \t\r\n"
-_TYPE = r"(?P<type>[A-Za-z][A-Za-z0-9-]*+|\d++(?:\.\d++)++)\s*+=\s*+"
+_TYPE = r"(?P<type>[A-Za-z][A-Za-z0-9_-]*+|\d++(?:\.\d++)++)\s*+=\s*+"
 _COMMA_PART = re.compile(
     rf'\s*+{_TYPE}(?:"(?P<quoted>(?:[^"\\]|\\.)*+)"\s*+|(?P<plain>(?:[^,+"\\]|\\.)*+))(?P<end>[,+]|\Z)',
     re.DOTALL | re.ASCII,
@@ -28,6 +28,7 @@ _COMMA_PART = re.compile(
 _SLASH_PART = rf"(?as)\s*+{_TYPE}(?P<value>.*)"
 # A slash starts a part only if a type and "=" follow: CN=/ns/node is one part.
 _SLASH = r"(?a)(?<!\\)/(?=\s*+[A-Za-z0-9][A-Za-z0-9.-]*+\s*+=)"
+_DER_FORM = r"#(?:[0-9A-Fa-f]{2})+[ \t\r\n]*"
 _COMMA_FORM = r"(?s)\\(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>.)|(?P<raw>.)"
 _SLASH_FORM = r"(?s)\\x(?P<byte>[0-9A-Fa-f]{2})|\\(?P<char>/)|(?P<raw>.)"
 
@@ -60,7 +61,7 @@ def _comma_form(text: str) -> Subject:
     place, end = 0, ","
     while end:
         found = _COMMA_PART.match(text, place)
-        if not found or (found["plain"] or "").startswith("#"):
+        if not found or not _is_readable(found["type"], found["plain"] or ""):
             raise _no_subject(text)
         joined.add((found["type"], _comma_value(found)))
         place, end = found.end(), found["end"]
@@ -70,10 +71,20 @@ def _comma_form(text: str) -> Subject:
     return tuple(parts)
 
 
+def _is_readable(kind: str, plain: str) -> bool:
+    """A value that begins with # is in DER: OpenSSL writes those of unknown types, and bits, so."""
+    if not plain.startswith("#"):
+        return True
+    is_dumped = kind[0].isdigit() or plain.startswith("#03")
+    return is_dumped and bool(re.fullmatch(_DER_FORM, plain))
+
+
 def _comma_value(found: re.Match[str]) -> str:
     if found["quoted"] is not None:
         return _unescaped(re.finditer(_COMMA_FORM, found["quoted"]))
     plain = found["plain"]
+    if plain.startswith("#"):
+        return plain.rstrip(_SPACE).upper()
     if plain.isascii() and "\\" not in plain:  # so with nearly all names
         return plain.rstrip(_SPACE)
     characters = list(re.finditer(_COMMA_FORM, plain))

@@ -158,8 +158,11 @@ class Local:
         return replace(self, anchors=replace(self.anchors, revocation_list=fresh))
 
     def revokes(self, certificate: Certificate) -> bool:
-        """Whether its revocation list, as it was last read, contains the certificate."""
-        return self.revoked is not None and self.revoked.revocation_of(certificate) is not None
+        """Whether its revocation list, as last read, contains the certificate, or is not for it."""
+        return self.revoked is not None and (
+            self.revoked.revocation_of(certificate) is not None
+            or not self.revoked.covers(certificate)
+        )
 
 
 def _keys(properties: Properties, *, both: bool) -> tuple[PrivateKey, PrivateKey | None]:

@@ -32,6 +32,7 @@ _HINTS = {
     Code.LIST_NOT_YET_VALID: _OLD_LIST,
     Code.LIST_WRONG_ISSUER: _OLD_LIST,
     Code.LIST_BAD_SIGNATURE: _OLD_LIST,
+    Code.LIST_SCOPE: _OLD_LIST,
     Code.ONE_KEY_TWO_ROLES: "create two distinct CA keys: `pqsec ca rotate`",
     Code.KEY_MISMATCH: _RENEW,
     Code.WRONG_SUBJECT: _RENEW,

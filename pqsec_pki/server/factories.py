@@ -89,7 +89,7 @@ class Factory:
         return [_certificate(each) for each in chain[1:]]
 
     def _refuse_revoked(self, certificate: Certificate, issuer: Certificate, now: datetime) -> None:
-        own = [each for each in self.lists if each.issuer_der == issuer.subject_der]
+        own = [each for each in self.lists if each.names_issuer(issuer)]
         if not own:
             raise VerificationError(f"there is no revocation list of {issuer.subject_name}")
         for each in own:

@@ -2,7 +2,8 @@
 
 Makes hostile S/MIME and PEM, and compares what comes out, not only whether something does:
 a file that pqsec takes must be the same document, the same signature, the same objects for
-OpenSSL's library. It also compares the model of OpenSSL's S/MIME reader with OpenSSL.
+OpenSSL's library, and chains are judged alike. It also compares the model of OpenSSL's S/MIME
+reader with OpenSSL.
 
 Prints the seed and what it found, keeps the first inputs of each kind of finding in
 --findings, and ends with 1 if there is one. OpenSSL is the `openssl` command's, and that of
@@ -31,6 +32,8 @@ from pqsec_pki.certificates import (
     RevocationList,
     certificate_request,
     revocation_list,
+    verify_chain,
+    verify_not_revoked,
 )
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.smime import (
@@ -43,7 +46,7 @@ from pqsec_pki.smime import (
     document,
     sign,
 )
-from tests.fuzz import hostile_files, libcrypto
+from tests.fuzz import chains, hostile_files, libcrypto
 
 BATCH = 256
 YEAR = timedelta(days=365)
@@ -208,9 +211,10 @@ def kinds():
     texts = [b"<dds>\n<one/>\n</dds>\n", b"\n<dds/>\n", b"<!-- " + b"x" * 1500 + b" -->\n<dds/>"]
     messages = [sign(*each, now=now) for each in zip(texts, signers, strict=True)]
     smime = hostile_files.SignedFiles(messages)
-    return {"smime": Kind(b"S", smime.make, smime_reader(cas), disagreement_on_smime)} | pem_kinds(
-        cas, now
-    )
+    return {
+        "smime": Kind(b"S", smime.make, smime_reader(cas), disagreement_on_smime),
+        "chains": Kind(b"V", chains.make, own_verdict, another_verdict),
+    } | pem_kinds(cas, now)
 
 
 def pem_kinds(cas, now):
@@ -249,6 +253,40 @@ def own_request(data):
 
 def own_key(data):
     return [load_private_key(data).public_key.spki]
+
+
+def own_verdict(data):
+    ca, leaf, *crls = libcrypto.unpacked(data)
+    issuer, participant = Certificate.from_der(ca), Certificate.from_der(leaf)
+    now = datetime.now(UTC)
+    verify_chain(participant, issuer, now=now)
+    for each in crls:
+        verify_not_revoked(participant, RevocationList.from_der(each), issuer, now=now)
+    return [b"good"]
+
+
+STRICTER = (
+    "deltaCRLIndicator",
+    "certificateIssuer",
+    "has the name of the CA",
+    "RFC 3779",
+    "relative name",
+    "cannot be compared",
+)
+"""What pqsec alone refuses: docs/explanation/adr/0043."""
+
+
+def another_verdict(data, ours, theirs, ask):
+    """Both must accept, or both refuse."""
+    if ours and not theirs:
+        return "pqsec alone accepts"
+    if theirs and not ours:
+        try:
+            own_verdict(data)
+        except PqsecError as error:
+            if not any(words in str(error) for words in STRICTER):
+                return f"pqsec alone refuses: {error}"
+    return None
 
 
 def run(kind, peers, inputs, seed):

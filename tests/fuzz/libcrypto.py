@@ -10,6 +10,7 @@ one letter, and the file. An answer is empty if OpenSSL refuses.
     S   S/MIME: the signed part, "+" and the document or "", and the CMS structure in DER
     C   PEM: each certificate in DER;  L  each revocation list;  R  each request
     K   PEM: the SubjectPublicKeyInfo of the first private key
+    V   a list of a CA, a participant and maybe a revocation list, in DER: "good" if it verifies
 """
 
 import ctypes
@@ -103,12 +104,40 @@ def objects(kind):
     return read
 
 
+def chain(library, data):
+    """Verified as stacks verify: revocation of the participant alone, and only with a list."""
+    store, context = library.get("X509_STORE_new"), library.get("X509_STORE_CTX_new")
+    kinds = ["X509", "X509", "X509_CRL"]
+    values = [parsed(library, *each) for each in zip(kinds, unpacked(data), strict=False)]
+    found = []
+    if all(each.value for each in values):
+        ca, leaf, *crls = values
+        library.do("X509_STORE_add_cert", store, ca)
+        for each in crls:
+            library.do("X509_STORE_add_crl", store, each)
+            library.do("X509_STORE_set_flags", store, c_long(4))  # X509_V_FLAG_CRL_CHECK
+        library.do("X509_STORE_CTX_init", context, store, leaf, None)
+        if library.do("X509_verify_cert", context) == 1:
+            found = [b"good"]
+    library.do("X509_STORE_CTX_free", context)
+    library.do("X509_STORE_free", store)
+    for kind, value in zip(kinds, values, strict=False):
+        library.do(f"{kind}_free", value)
+    return found
+
+
+def parsed(library, kind, der):
+    start = c_char_p(der)
+    return library.get(f"d2i_{kind}", None, byref(start), c_long(len(der)))
+
+
 READERS = {
     b"S": smime,
     b"C": objects("X509"),
     b"L": objects("X509_CRL"),
     b"R": objects("X509_REQ"),
     b"K": objects("PrivateKey"),
+    b"V": chain,
 }
 
 

@@ -29,10 +29,10 @@ def peers(openssl, openssl35):
         yield found
 
 
-@pytest.mark.slow(but=2)
+@pytest.mark.slow(but=4)
 @pytest.mark.interop
 @pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
-@pytest.mark.parametrize("name", ["smime", "certificates", "lists", "requests", "keys"])
+@pytest.mark.parametrize("name", ["smime", "certificates", "lists", "requests", "chains", "keys"])
 def test_what_we_read_openssl_reads_too(kinds, peers, name, seed):
     print("seed", seed)  # a run that fails shows it: tests.fuzz.differential --seed
     result = differential.run(kinds[name], peers, INPUTS, seed)

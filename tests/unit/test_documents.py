@@ -307,6 +307,8 @@ def test_domains_the_stacks_disagree_on_are_refused(part):
     [
         ("2026-03-01T12:00:00", datetime(2026, 3, 1, 12, tzinfo=UTC)),
         ("2026-03-01T12:00:00Z", datetime(2026, 3, 1, 12, tzinfo=UTC)),
+        (" 2026-03-01T12:00:00Z", datetime(2026, 3, 1, 12, tzinfo=UTC)),
+        ("\n\t2026-03-01T12:00:00+05:30 ", datetime(2026, 3, 1, 6, 30, tzinfo=UTC)),
         ("2026-03-01T12:00:00Z \n", datetime(2026, 3, 1, 12, tzinfo=UTC)),
         ("2026-03-01T12:00:00+05:30", datetime(2026, 3, 1, 6, 30, tzinfo=UTC)),
         ("2026-03-01T12:00:00-14:00", datetime(2026, 3, 2, 2, tzinfo=UTC)),
@@ -628,3 +630,14 @@ def test_permissions_with_lf_and_crlf_are_one_value_while_they_are_in_use():
 def test_line_ends_that_may_be_something_else_are_not_changed(xml):
     assert with_line_feeds(b"<a>\r\n</a>") == b"<a>\n</a>"
     assert with_line_feeds(xml) == xml
+
+
+def test_a_value_of_an_unknown_type_is_read_as_openssl_writes_it():
+    """`openssl x509 -nameopt RFC2253` dumps its DER."""
+    written = parse_subject("1.2.3.4=#0C026162,CN=a")
+    assert same_subject(written, parse_subject("1.2.3.4=#0c026162 , CN=a"))
+    assert not same_subject(written, parse_subject("1.2.3.4=#0C026163,CN=a"))
+    assert parse_subject("x500UniqueIdentifier=#0302005A")
+    for broken in ("1.2.3.4=#", "1.2.3.4=#0", "CN=#0C0161", "CN=#0C0", "CN=#xy"):
+        with pytest.raises(MalformedError):
+            parse_subject(broken)

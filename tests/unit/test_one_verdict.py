@@ -568,6 +568,8 @@ def test_the_table_has_every_code_of_an_enclave():
         Code.ELEMENT_MISPLACED,
         Code.KEY_USAGE,
         Code.CRITICAL_EXTENSION,
+        Code.NAME_CONSTRAINTS,  # test_chains.py, as the next
+        Code.LIST_SCOPE,
         Code.NOT_SELF_SIGNED,
         Code.ALTERNATIVE_BAD,
         Code.LIST_MISSING,

@@ -32,7 +32,7 @@ def of_another_ca(enclave: EnclaveFolder) -> Iterator[Violation]:
     if ca is None or key is None:
         return
     for file, revoked in enclave.revocation_lists:
-        if not key.algorithm.accepts(revoked.identifier) and revoked.issuer_der == ca.subject_der:
+        if not key.algorithm.accepts(revoked.identifier) and revoked.names_issuer(ca):
             continue  # such as RSASSA-PSS, which pqsec does not check
         try:
             revoked.verify(ca)

@@ -56,6 +56,7 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
     Code.LIST_NOT_YET_VALID: ("PQS142",),
     Code.LIST_WRONG_ISSUER: _LIST,
     Code.LIST_BAD_SIGNATURE: _LIST,
+    Code.LIST_SCOPE: _LIST,
     Code.ONE_KEY_TWO_ROLES: ("PQS312",),
     Code.COUNTERSIGNER_MISSING: ("PQS607",),
     Code.NOT_SIGNED: _SIGNED,

@@ -1,0 +1,70 @@
+"""Chains and lists of other tools: pqsec gives the verdict of every stack."""
+
+from datetime import UTC, datetime
+
+import pytest
+from cryptography import x509
+
+from pqsec_pki._asn1 import Oid
+from pqsec_pki.certificates import (
+    Certificate,
+    RevocationList,
+    verify_chain,
+    verify_not_revoked,
+)
+from pqsec_pki.errors import PqsecError
+from tests.unit.chains import (
+    CASES,
+    CN,
+    GOOD,
+    LEAF_NAME,
+    TRUE,
+    Case,
+    ca,
+    crl,
+    entry,
+    extension,
+    issuing,
+    leaf,
+    x509_name,
+)
+
+
+def takes(case):
+    now = datetime.now(UTC)
+    try:
+        ca, leaf = map(Certificate.from_der, (case.ca, case.leaf))
+        verify_chain(leaf, ca, now=now)
+        if case.crl:
+            verify_not_revoked(leaf, RevocationList.from_der(case.crl), ca, now=now)
+    except PqsecError as error:
+        print(error)
+        return False
+    return True
+
+
+@pytest.mark.parametrize("case", CASES, ids=str)
+def test_a_chain_is_judged_as_every_stack_judges_it(case):
+    assert takes(case) == case.accepted
+
+
+# What pqsec alone refuses (docs/explanation/adr/0043)
+
+FOREIGN = x509.CertificateIssuer([x509_name(LEAF_NAME)])
+TWICE = [entry(), entry(extension(x509.CRLReason(x509.ReasonFlags.remove_from_crl)))]
+RELATIVE = {
+    "relative_name": x509.RelativeDistinguishedName([x509.NameAttribute(Oid(CN), "x")]),
+    "only_contains_user_certs": True,
+}
+STRICTER = {
+    "an entry of another issuer": crl(entries=[entry(extension(FOREIGN), serial=8)]),
+    "a critical entry of another issuer": crl(entries=[entry(extension(FOREIGN, TRUE), serial=8)]),
+    "a removed entry after another": crl(entries=TWICE),
+    "a removed entry before another": crl(entries=TWICE[::-1]),
+    "a relative name": crl(extension(issuing(**RELATIVE), TRUE)),
+}
+
+
+@pytest.mark.parametrize("words", STRICTER)
+def test_a_list_that_readers_could_take_for_another_is_refused(words):
+    assert not takes(Case(words, GOOD, ca(), leaf(), STRICTER[words]))
