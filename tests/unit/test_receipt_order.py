@@ -194,6 +194,24 @@ def test_a_robot_that_is_set_up_again_is_believed_with_its_first_receipt(fleet, 
     assert fleet.state.receipt == said_in(first)
 
 
+def test_the_store_whose_receipt_was_recorded_last_decides(fleet):
+    fleet.import_(fleet.install("old"))
+    fleet.renew()
+    fleet.import_(fleet.install("new"))
+    again = fleet.install("new")
+    fleet.renew()
+    fleet.import_(fleet.install("old"))  # it is used again
+    assert "of a store with an older certificate" in str(fleet.refuses(again))
+
+
+def test_two_copies_of_one_store_do_not_both_use_a_number(fleet):
+    fleet.install()
+    shutil.copytree(fleet.place / "robot", fleet.place / "copy", symlinks=True)
+    fleet.import_(fleet.install())
+    other = fleet.install("copy", now=LATER + DAY)
+    assert "receipt 2 of its store; receipt 2 is recorded" in str(fleet.refuses(other))
+
+
 def test_a_rollback_does_not_let_a_robot_in_that_was_replaced_before(fleet):
     old = fleet.install("old")
     fleet.install("new")
