@@ -19,7 +19,7 @@ def receipt() -> None:
     "import",
     examples={
         "Record what a robot runs": "pqsec receipt import credentials/installed.receipt",
-        "Record it again after the robot's clock was wrong": (
+        "Record what a robot runs that was restored from a backup": (
             "pqsec receipt import credentials/installed.receipt --older"
         ),
     },
@@ -34,7 +34,9 @@ def receipt() -> None:
 )
 @click.argument("files", nargs=-1, required=True, type=_settings.FILE, metavar="FILE...")
 @click.option(
-    "--older", is_flag=True, help="Also record a receipt that is older than the one recorded."
+    "--older",
+    is_flag=True,
+    help="Also record a receipt of a robot restored from a backup.",
 )
 @_settings.command_options
 def import_(files: tuple[Path, ...], *, older: bool) -> None:
@@ -44,10 +46,16 @@ def import_(files: tuple[Path, ...], *, older: bool) -> None:
     keys of a certificate that this keystore issued to it. If the certificate was renewed since, the
     robot is outdated. Receipts are recorded in the ledger, all or none, but not those of revoked
     certificates. Then `pqsec status` shows what each robot runs, and what it should run.
+
+    Receipts are ordered by the numbers that the robot gives them, not by its clock. After a backup
+    was restored there, its numbers are smaller than those recorded: import one with --older.
     """
     keystore = _settings.open_keystore(to_change=True)
     done = import_receipts(keystore, files, now=_settings.now(), older=older)
     _printing.emit({"receipts": done}, map(_line, done))
+    for each in done:
+        if each.clock:
+            _printing.note(f"{each.path}: {each.receipt.participant}: {each.clock}")
 
 
 def _line(each: ImportedReceipt) -> str:

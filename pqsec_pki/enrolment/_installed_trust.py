@@ -4,7 +4,7 @@ from collections.abc import Collection, Mapping
 
 from pqsec_pki.credentials import KEYS, PROOF, Credentials, verify_logged
 from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledSet
-from pqsec_pki.enrolment.trust import Marks, Pins, TrustState, pins_in
+from pqsec_pki.enrolment.trust import Pins, TrustState, pins_in
 from pqsec_pki.errors import PqsecError, located
 from pqsec_pki.transparency import LedgerProof, TreeHead
 
@@ -42,7 +42,7 @@ def raised(
 
     `heads` are the heads of the ledger in their proofs, by participant.
     """
-    return (state or TrustState(pins=pins, marks=Marks())).after(credentials, pins, heads)
+    return (state or TrustState.of_new_store(pins)).after(credentials, pins, heads)
 
 
 def heads_in(found: InstalledSet, credentials: Collection[Credentials]) -> dict[str, TreeHead]:

@@ -50,18 +50,18 @@ class NextSet:
 
         Whether the same files were installed already: then only trust and receipt are written.
         """
+        trust = trust.with_next_receipt()
         if self.before and _same(self.before.enclaves, self.enclaves):
             store.trust(trust)
-            since = self.before.at
-            store.save_receipt(self._receipt(since, now))
+            store.save_receipt(self._receipt(trust, self.before.at, now))
             return True
-        receipt = self._receipt(now, now)
+        receipt = self._receipt(trust, now, now)
         store.put(self.enclaves, trust, now, numbers=self.numbers, receipt=receipt)
         return False
 
-    def _receipt(self, installed_at: datetime, now: datetime) -> bytes:
+    def _receipt(self, trust: TrustState, installed_at: datetime, now: datetime) -> bytes:
         return receipt_of(
-            self.enclaves, self.numbers, installed_at=installed_at, now=now, pin=self.pin
+            self.enclaves, self.numbers, trust, installed_at=installed_at, now=now, pin=self.pin
         )
 
 

@@ -4,7 +4,8 @@ current -> sets/3   what processes read; one rename changes all files at once
 sets/<n>/           enclaves/<path>/..., and installed.json: which set was current before
 installed.receipt   what is current, signed (receipt.py)
 requests/<name>/    key.pem [alt.key.pem] request.csr, until the answer is installed
-trust.json          the trusted CAs, and the newest documents that were ever installed
+trust.json          the trusted CAs, the newest documents that were ever installed, and the
+                    count of receipts
 bundle.key.pem      the key that opens sealed bundles, if it was created
 
 A set never changes after it was created. The set before the current one is kept.

@@ -25,6 +25,7 @@ from pqsec_pki.credentials import (
     only_certificate,
 )
 from pqsec_pki.enrolment.archive import Archive
+from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, shown
 from pqsec_pki.keystore import PUBLIC_FILES, RECEIPT, Receipt, regular_name
 from pqsec_pki.problems import Code, Problem
@@ -43,9 +44,10 @@ class SignedReceipt:
     certificate: Certificate
 
 
-def receipt_of(
+def receipt_of(  # noqa: PLR0913 -- by name
     enclaves: Mapping[str, Mapping[str, bytes]],
     numbers: Mapping[str, int],
+    trust: TrustState,
     *,
     installed_at: datetime,
     now: datetime,
@@ -53,6 +55,7 @@ def receipt_of(
 ) -> bytes:
     """The receipt file for the installed `enclaves`, from bundles with these `numbers`.
 
+    `trust` has the number of this receipt (`TrustState.with_next_receipt`), and is saved before it.
     `pin` gives the PIN of a token that has the keys. An enclave whose certificate or keys cannot
     be read, or do not match, is not in it.
     """
@@ -60,14 +63,15 @@ def receipt_of(
     for name, installed in enclaves.items():
         receipt = Receipt(
             participant=name,
+            store=trust.store,
+            number=trust.receipts,
             bundle=numbers.get(name),
             files={
                 file: hashlib.sha256(data).hexdigest()
                 for file, data in sorted(installed.items())
                 if file in PUBLIC_FILES
             },
-            # The robot's clock may have been ahead then.
-            installed_at=min(installed_at, now).astimezone(UTC).replace(microsecond=0),
+            installed_at=installed_at.astimezone(UTC).replace(microsecond=0),
             made_at=now.astimezone(UTC),
             pqsec=__version__,
         )

@@ -39,10 +39,12 @@ def rollback(
             if state is None:
                 with suppress(PqsecError):  # an unreadable set raises no marks
                     seen += credentials_in(current)
-            store.trust(raised(state, seen, pins, {}))
+            state = raised(state, seen, pins, {})
+        state = state.with_next_receipt()
         receipt = receipt_of(
-            earlier.enclaves, earlier.numbers, installed_at=earlier.at, now=now, pin=pin
+            earlier.enclaves, earlier.numbers, state, installed_at=earlier.at, now=now, pin=pin
         )
+        store.trust(state)
         store.point_to(current.previous, receipt)
         return earlier
 

@@ -3,15 +3,16 @@
 Pins are the CAs that the robot trusts, each with its role. Marks are the largest numbers of the
 revocation list, the documents, the certificates and the ledger's head that were ever installed
 here. They never decrease, so no older bundle restores withdrawn rights or accepts a revoked peer,
-not even after a rollback. No clock orders anything
-(docs/explanation/adr/0035-robots-order-by-numbers.md).
+not even after a rollback. The state also counts the receipts that the robot made. No clock orders
+anything (docs/explanation/adr/0035-robots-order-by-numbers.md).
 """
 
 import hashlib
 import json
 import re
+import secrets
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from typing import Any, Self, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
@@ -33,7 +34,7 @@ from pqsec_pki.keystore import CurrentFiles, Keystore
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.transparency import HASH, TreeHead
 
-FORMAT = 2
+FORMAT = 3
 ROLES = {
     "identity": IDENTITY_CA,
     "permissions": PERMISSIONS_CA,
@@ -44,6 +45,7 @@ ROLES = {
 Pins: TypeAlias = Mapping[str, frozenset[str]]
 """SHA-256 fingerprints of CA certificates, hex, by the file that contains them."""
 
+_STORE = re.compile("[0-9a-f]{32}")
 _PIN = re.compile(rf"({'|'.join(ROLES)}):([0-9a-f]{{64}})")
 _WORDS = {
     CERTIFICATE: "the certificate is",
@@ -187,8 +189,17 @@ class TrustState:
 
     pins: Pins
     marks: Marks
+    store: str
+    """Names this credential store in receipts: 16 random bytes, in hex."""
+    receipts: int = 0
+    """The number of the newest receipt made here. It never decreases."""
     proofs: bool = False
     """Whether each bundle must prove that the ledger has its documents."""
+
+    @classmethod
+    def of_new_store(cls, pins: Pins) -> Self:
+        """The state of a store in which nothing was installed, with a name of its own."""
+        return cls(pins=pins, marks=Marks(), store=secrets.token_hex(16))
 
     @classmethod
     def from_json(cls, data: bytes) -> Self:
@@ -198,7 +209,7 @@ class TrustState:
             if value["format"] != FORMAT:
                 other = other_format(KeystoreError, value["format"], (FORMAT,))
                 raise KeystoreError(other.words)  # the way out is that of a damaged one
-            marks = value["marks"]
+            marks, receipts = value["marks"], value["receipts"]
             return cls(
                 pins={
                     file: frozenset(map(str, value["pins"][role]))
@@ -210,6 +221,8 @@ class TrustState:
                     numbers=_numbers(marks["numbers"]),
                     heads={str(key): _head(each) for key, each in marks["heads"].items()},
                 ),
+                store=_store(receipts["store"]),
+                receipts=_numbers({"made": receipts["made"]})["made"],
                 proofs=value.get("proofs", False) is True,
             )
         except (
@@ -233,6 +246,7 @@ class TrustState:
                     for key, each in self.marks.heads.items()
                 },
             },
+            "receipts": {"store": self.store, "made": self.receipts},
         }
         if self.proofs:
             value["proofs"] = True
@@ -248,7 +262,11 @@ class TrustState:
         marks = self.marks
         for each in credentials:
             marks = marks.raised_by(Marks.of(each, heads.get(each.name)))
-        return TrustState(pins=pins, marks=marks, proofs=self.proofs)
+        return replace(self, pins=pins, marks=marks)
+
+    def with_next_receipt(self) -> "TrustState":
+        """The state in which the store has made one more receipt."""
+        return replace(self, receipts=self.receipts + 1)
 
 
 def pins_in(*anchors: TrustAnchors) -> Pins:
@@ -291,6 +309,12 @@ def _numbers(value: Mapping[str, Any]) -> dict[str, int]:
     if not all(type(each) is int and each >= 0 for each in value.values()):
         raise ValueError("a mark that is not a number")
     return {str(key): each for key, each in value.items()}
+
+
+def _store(value: object) -> str:
+    if not isinstance(value, str) or not _STORE.fullmatch(value):
+        raise ValueError("the name of the store is not 32 hexadecimal digits")
+    return value
 
 
 def _head(value: Mapping[str, Any]) -> TreeHead:

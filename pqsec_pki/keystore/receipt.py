@@ -1,5 +1,8 @@
 """A receipt: what is installed of one participant, as its robot says. Its signature is not here.
 
+A robot numbers its receipts. Its clock is only told: it orders nothing
+(docs/explanation/adr/0035-robots-order-by-numbers.md).
+
 The ledger has the receipts that were imported. The room `enrolment` makes, signs and verifies them.
 """
 
@@ -16,16 +19,18 @@ from pqsec_pki.credentials import FILES, KEYS
 from pqsec_pki.errors import MalformedError, PqsecError, shown
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore.bundle_numbers import bundle_number
+from pqsec_pki.keystore.bundle_numbers import MAX_NUMBER, bundle_number
 
 RECEIPT = "receipt"
 """The kind of the ledger's lines, and of the file."""
-FORMAT = 1
+FORMAT = 2
 PUBLIC_FILES = tuple(file for file in FILES if file not in KEYS)
 MAX_STATEMENT = 16 << 10
 """Bytes; the seven files of an enclave take less than one thousand."""
 _STATEMENT = "statement"
+_CERTIFICATE = "certificate"
 _SHA256 = re.compile("[0-9a-f]{64}")
+_STORE = re.compile("[0-9a-f]{32}")
 _VERSION = re.compile(r"[0-9A-Za-z.+_-]{1,64}")
 
 
@@ -34,13 +39,18 @@ class Receipt:
     """The installed files of one participant."""
 
     participant: str
+    store: str
+    """The identifier of the credential store that made it: 16 random bytes, in hex."""
+    number: int
+    """How many receipts that store has made, with this one: it orders the receipts of a store."""
     bundle: int | None
     """The number of the bundle that it came from, as its manifest says. Nothing signs that."""
     files: Mapping[str, str]
     """SHA-256 of each file, in hex, by its name; never of a private key."""
     installed_at: datetime
     made_at: datetime
-    """The time when the robot made the receipt, by its clock."""
+    """The times of the installation and of the receipt, by the robot's clock, which may be wrong.
+    """
     pqsec: str
     """The version that made it."""
 
@@ -52,11 +62,23 @@ class Receipt:
         except MalformedError:
             raise entry.damaged() from None
 
+    @staticmethod
+    def certificate_number(entry: Entry) -> int:
+        """The sequence number of the certificate that signed the receipt in a ledger entry.
+
+        0 if it had none; KeystoreError if the entry is damaged.
+        """
+        text = entry.details.get(_CERTIFICATE, "")
+        if not (text.isascii() and text.isdecimal()):
+            raise entry.damaged()
+        return int(text)
+
     def entry(self, certificate: Certificate, now: datetime) -> Entry:
         """The ledger entry of this receipt, which the holder of `certificate` signed."""
         details = {
             "bundle": str(self.bundle or ""),
             "installed": self.installed_at.isoformat(),
+            _CERTIFICATE: str(certificate.number or 0),
             _STATEMENT: self.to_json().decode(),
         }
         serial = certificate.serial_number
@@ -68,6 +90,8 @@ class Receipt:
             "format": FORMAT,
             "kind": RECEIPT,
             "participant": self.participant,
+            "store": self.store,
+            "number": self.number,
             "bundle": self.bundle,
             "files": self.files,
             "installed_at": self.installed_at.isoformat(),
@@ -88,6 +112,8 @@ class Receipt:
                 raise MalformedError("made by another version of pqsec")
             found = cls(
                 participant=layout.enclave_name(_text(value["participant"])),
+                store=_matching(_STORE, value["store"]),
+                number=_number(value["number"]),
                 bundle=bundle_number(value["bundle"]),
                 files={
                     _one_of(PUBLIC_FILES, name): _matching(_SHA256, each)
@@ -128,6 +154,12 @@ def _matching(pattern: re.Pattern[str], value: object) -> str:
     if not pattern.fullmatch(_text(value)):
         raise ValueError(f"{shown(_text(value))} does not match {pattern.pattern}")
     return _text(value)
+
+
+def _number(value: object) -> int:
+    if type(value) is not int or not 0 < value <= MAX_NUMBER:
+        raise ValueError("the number of a receipt is not 1 to 2^63 - 1")
+    return value
 
 
 def _time(value: object) -> datetime:

@@ -366,5 +366,6 @@ class CallHandler:
         return file_in(path, TEXT, "there is no signed head of the ledger")
 
     def _receipt(self, name: str, body: bytes) -> SignerAnswer:
-        take_receipts(self.keystore, name, body, now=self.clock())
-        return SignerAnswer(status=204, note=f"receipt, sent by {name}")
+        done = take_receipts(self.keystore, name, body, now=self.clock())
+        clocks = dict.fromkeys(each.clock for each in done if each.clock)
+        return SignerAnswer(status=204, note="; ".join([f"receipt, sent by {name}", *clocks]))

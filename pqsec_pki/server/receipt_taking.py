@@ -8,12 +8,14 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.enrolment import SignedReceipt, read_receipts, record_receipts
+from pqsec_pki.enrolment import ImportedReceipt, SignedReceipt, read_receipts, record_receipts
 from pqsec_pki.keystore import RECEIPT, Keystore, Ledger
 from pqsec_pki.server.requester import NotAdmittedError, refuse_many
 
 
-def take_receipts(keystore: Keystore, holder: str, body: bytes, *, now: datetime) -> None:
+def take_receipts(
+    keystore: Keystore, holder: str, body: bytes, *, now: datetime
+) -> list[ImportedReceipt]:
     """Enter the receipts in the ledger, one of which is of the participant `holder`.
 
     NotAdmittedError if none is, or for too many; other errors as of `record_receipts`.
@@ -29,7 +31,7 @@ def take_receipts(keystore: Keystore, holder: str, body: bytes, *, now: datetime
             raise NotAdmittedError(403, f"the receipt is not of {holder}")
         for each in found:
             _refuse_many(ledger, each, now)
-    record_receipts(keystore, [(Path("receipt"), body)], now=now)
+    return record_receipts(keystore, [(Path("receipt"), body)], now=now)
 
 
 def _refuse_many(ledger: Ledger, found: SignedReceipt, now: datetime) -> None:

@@ -4,6 +4,7 @@ import json
 import shutil
 import stat
 import time
+from datetime import UTC, datetime, timedelta
 
 import pytest
 from cryptography import x509
@@ -11,11 +12,13 @@ from cryptography.hazmat.primitives import hashes
 from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.hazmat.primitives.serialization import Encoding
 
+from pqsec_pki.cli import _settings
 from tests.cli.conftest import NAMES, snapshot
 
 ROBOT = "/fleet/robot1"
 CSR = "requests/fleet+robot1/request.csr"
 TOPIC = "--publish telemetry"
+EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 POLICY = """
 domains: 0
 validity: 1y
@@ -299,6 +302,30 @@ def test_the_way_back(pqsec, asked, tmp_path):
     pqsec("rollback --dir r --older").done()
     assert (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes() == first
     pqsec("rollback --dir nowhere").refused(3, "nothing is installed")
+
+
+def test_a_robots_clock_that_was_ahead_or_is_in_1970_is_noted_and_hides_no_receipt(
+    pqsec, asked, tmp_path, monkeypatch
+):
+    asked("classical")
+    pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
+    now = _settings.now()
+    for day, words in ((now + timedelta(days=30), "in the future"), (EPOCH, "before its cert")):
+        with monkeypatch.context() as robot:
+            robot.setattr(_settings, "now", lambda day=day: day)
+            pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
+        done = pqsec("-k k receipt import r/installed.receipt").done()
+        assert words in done.err
+        assert "check the robot's clock" in done.err
+        assert "recorded: bundle" in done.out
+    shutil.copytree(tmp_path / "r", tmp_path / "backup", symlinks=True)
+    for folder in ("r", "backup"):
+        pqsec(f"install fleet+robot1.bundle --dir {folder}").done()
+    pqsec("-k k receipt import r/installed.receipt").done()
+    line = "-k k receipt import backup/installed.receipt"
+    pqsec(line).refused(1, "receipt 3 of its store; receipt 3 is recorded", hint="--older")
+    told = pqsec(f"{line} --older --json").done().json
+    assert [(each["number"], each["clock"]) for each in told["receipts"]] == [(3, None)]
 
 
 def test_the_configuration_of_a_stack_is_for_where_the_keys_are(pqsec, asked, tmp_path):

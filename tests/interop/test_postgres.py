@@ -179,6 +179,8 @@ def test_a_robot_with_a_list_from_before_another_machine_is_outdated(first, seco
     files = {each: sha256(data).hexdigest() for each, data in bundle.enclaves["/bob"].items()}
     receipt = Receipt(
         participant="/bob",
+        store="0" * 32,
+        number=1,
         bundle=bundle.number,
         files=files,
         installed_at=NOW,

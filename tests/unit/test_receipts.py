@@ -14,6 +14,7 @@ from pqsec_pki.enrolment import Bundle, rollback
 from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.enrolment.receipt import read_receipts, receipt_of
+from pqsec_pki.enrolment.trust import Marks, TrustState
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError
 from pqsec_pki.keystore import BundleNumbers, Keystore, Receipt
 from pqsec_pki.lifecycle import Renewal, Rollover, Scope, renew, revoke, sign_governance
@@ -140,6 +141,8 @@ def test_a_receipt_names_the_installed_files_and_every_key_of_the_robot_signs_it
     [signed] = read_receipts(done.receipt.read_bytes())
     assert signed.receipt == Receipt(
         participant=ROBOT,
+        store=CredentialStore(place / "robot").trust_state.store,
+        number=1,
         bundle=bundle.number,
         files=hashes(bundle.enclaves[ROBOT]),
         installed_at=LATER,
@@ -175,9 +178,9 @@ def test_a_receipt_is_made_again_by_the_same_bundle_and_tells_of_a_rollback(robo
     assert second.files != first.files
     assert put(robot, bundle, now=LATER + 2 * DAY).already
     again = receipts_on(robot)[ROBOT]
-    assert again == replace(second, made_at=LATER + 2 * DAY)
+    assert again == replace(second, number=3, made_at=LATER + 2 * DAY)
     rollback(robot, now=LATER + 3 * DAY, older=True)
-    assert receipts_on(robot)[ROBOT] == replace(first, made_at=LATER + 3 * DAY)
+    assert receipts_on(robot)[ROBOT] == replace(first, number=4, made_at=LATER + 3 * DAY)
 
 
 def test_who_cannot_sign_has_no_receipt_and_keeps_nobody_else_from_installing(robot, keystore):
@@ -208,7 +211,8 @@ def enclave(transition):
 
 
 def members_of(enclave, name=ROBOT, now=LATER):
-    data = receipt_of({name: enclave}, {name: 7}, installed_at=NOW, now=now)
+    trust = TrustState(pins={}, marks=Marks(), store="5" * 32, receipts=9)
+    data = receipt_of({name: enclave}, {name: 7}, trust, installed_at=NOW, now=now)
     return dict(Archive.unpack(data, "receipt").files)
 
 
@@ -297,11 +301,13 @@ def test_signed_text_that_is_not_exactly_a_receipt_is_refused(enclave):
 
     hostile = [
         *(b"", b"[]", b"{", b"null", b"[" * 9000, b"x" * (17 << 10), text()[:-1], b" " + text()),
-        text().replace(b"{", b'{"format": 1,', 1),  # twice
-        *(text(kind="bundle"), text(format=2), text(more=1), text(pqsec="\x1b[2J"), text(pqsec=1)),
+        text().replace(b"{", b'{"format": 2,', 1),  # twice
+        *(text(kind="bundle"), text(format=1), text(more=1), text(pqsec="\x1b[2J"), text(pqsec=1)),
         *(text(participant=each) for each in ("/", "/../x", "fleet/robot1", 7, None)),
         text(participant="/long" * 4000),
         *(text(bundle=each) for each in (0, -1, True, "7", 1 << 63, 1.5)),
+        *(text(store=each) for each in ("", "5" * 31, "A" * 32, "5" * 32 + "\n", 7, None)),
+        *(text(number=each) for each in (0, -1, True, "7", 1 << 63, 1.5, None)),
         *(text(made_at=each) for each in ("2026-11-21", "2026-11-21T12:00:00", "now", 7)),
         text(installed_at="2026-11-21T12:00:00"),
         # Not in UTC, as which they would be shown
@@ -315,7 +321,7 @@ def test_signed_text_that_is_not_exactly_a_receipt_is_refused(enclave):
     for each in hostile:
         with pytest.raises(MalformedError):
             read_receipts(packed({**members_of(enclave), STATEMENT: statement(enclave, each)}))
-    for each in (text(kind="bundle"), text(format=2)):
+    for each in (text(kind="bundle"), text(format=1)):
         with pytest.raises(MalformedError, match="made by another version of pqsec"):
             Receipt.from_json(each)
 

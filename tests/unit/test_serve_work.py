@@ -15,11 +15,12 @@ from pqsec_pki.credentials import ENCLAVES
 from pqsec_pki.enrolment import NAMELESS, tarball
 from pqsec_pki.enrolment.archive import MANIFEST, Archive
 from pqsec_pki.enrolment.receipt import receipt_of
-from pqsec_pki.keystore import RECEIPT, Keystore
+from pqsec_pki.enrolment.trust import TrustState
+from pqsec_pki.keystore import RECEIPT, Keystore, Receipt
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from tests.some_keys import some_key
-from tests.unit.domains import NOW
+from tests.unit.domains import DAY, NOW
 from tests.unit.test_serve_expired import Office
 from tests.unit.tls_sides import certificate
 
@@ -34,10 +35,13 @@ class Home(Office):
         paths = (self.file_of("/r1", name) for name in ("cert.pem", "permissions.p7s"))
         self.files = {each.name: each.read_bytes() for each in paths}
         self.files["key.pem"] = next(folder.glob("r1/**/key.pem")).read_bytes()
+        self.trust = TrustState.of_new_store({})
 
     def receipt(self, when):
-        """The receipt of the first robot, made so long after its certificate."""
-        return receipt_of({"/r1": self.files}, {}, installed_at=NOW, now=NOW + when)
+        """The next receipt of the first robot, made so long after its certificate."""
+        self.trust = self.trust.with_next_receipt()
+        at = NOW + when
+        return receipt_of({"/r1": self.files}, {}, self.trust, installed_at=NOW, now=at)
 
     def send(self, receipt, *, days=0):
         return self.ask(CallKind.RECEIPT, self.certificate(), receipt, days=days)
@@ -112,6 +116,22 @@ def test_a_receipt_is_of_who_sends_it(home):
     sent = home.receipt(SECOND)
     told = home.ask(CallKind.RECEIPT, home.certificate("r2"), sent, days=0)
     assert told == (403, "the receipt is not of /r2")
+
+
+def test_a_robot_whose_clock_was_a_month_ahead_once_is_not_told_to_lag(tmp_path):
+    """Each receipt of that month was refused, after its clock had been corrected."""
+    home = Home(tmp_path)
+    ahead, right, at_boot = (home.receipt(when) for when in (30 * DAY, SECOND, -20_000 * DAY))
+    for each in (ahead, right, at_boot):
+        call = SignerCall(kind=CallKind.RECEIPT, certificate=home.certificate().der, body=each)
+        [answer] = home.handler(days=0).answers([call])
+        assert answer.status == 204
+        assert ("check the robot's clock" in answer.note) is (each is not right)
+    newest = [each for each in home.keystore.ledger() if each.kind == RECEIPT][-1]
+    assert Receipt.of(newest).number == 3
+    status, detail = home.send(home.receipt(SECOND))
+    assert (status, detail) == (204, "")
+    assert home.send(ahead) == (204, "")  # which is there
 
 
 def test_a_robot_fills_no_ledger_with_receipts(tmp_path):
