@@ -537,7 +537,7 @@ CANNOT_TELL = {
 OTHERWISE = {
     # The keystore has the countersigner, and so misses its signature.
     ("the questions", "without the countersigner and its signatures"): Code.SIGNATURE_MISSING,
-    # The clock says that the CAs were not made yet, so it is wrong, as on a robot without a battery.
+    # A clock from before the CAs is wrong, as on a robot without a battery.
     ("installing", "when its certificate is not valid yet"): None,
 }
 """Where a reader refuses for another reason, and why."""
