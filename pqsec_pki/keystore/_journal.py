@@ -39,7 +39,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
-from pqsec_pki.keystore._outsiders import refuse_open_keystore
+from pqsec_pki.keystore._outsiders import refuse_open_keystore, refuse_open_root
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN, SETTINGS
@@ -64,7 +64,7 @@ def change(
     FileError for a disk error. The lines go into the database at `address`, if it is given.
     """
     with _disk_errors(root):
-        refuse_open_keystore(root)
+        refuse_open_root(root)
         make_folders(root, 0o755)
         with locked(root) as folder:
             _settle(folder)
