@@ -80,8 +80,8 @@ class Revocations:
     def accepted_with(self, held: Entry | None) -> dict[str, datetime]:
         """The ends of those that a robot with the list `held` accepts, by serial number.
 
-        A list that has ended lets nobody in. A robot with a list of the CA that issues now has its
-        files, and no longer trusts one that was replaced.
+        With a list that has ended, it accepts no peer. A robot with a list of the CA that issues
+        now has its files, and no longer trusts one that was replaced.
         """
         if held and held.ends < self.now:
             return {}
