@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
@@ -26,10 +27,12 @@ from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest
-from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.authorities import Authorities
 
 MAX_TREE = 16 << 10
 """Bytes; 63 hashes take 5 kB."""
@@ -204,7 +207,7 @@ def _verified(head: bytes, *signers: bytes) -> Checkpoint:
 
 
 def extended(
-    root: Path, ledger: Ledger, entries: Sequence[Entry], authorities: Authorities
+    root: Path, ledger: Ledger, entries: Sequence[Entry], authorities: "Authorities"
 ) -> SignedTree | None:
     """The next head, over all lines of `ledger` and then `entries`, which are added to it.
 

@@ -6,12 +6,15 @@ is ahead cannot be told from a fleet in which nothing was signed for long.
 
 from collections.abc import Iterator
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from pqsec_pki._times import said
 from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import Authorities
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.authorities import Authorities
 
 CLOCK_SKEW = BACKDATE
 """What is signed begins so much earlier, for clocks that differ: up to that, what the clock that is
@@ -24,7 +27,7 @@ _SIGNED = (
 clock."""
 
 
-def refuse_wrong_clock(ledger: Ledger, authorities: Authorities, now: datetime) -> None:
+def refuse_wrong_clock(ledger: Ledger, authorities: "Authorities", now: datetime) -> None:
     """KeystoreError if something says that it is not `now`, if `authorities.compares_clock`.
 
     The ledger's newest line about what was signed, the newest revocation list or a CA begins more
@@ -40,7 +43,7 @@ def refuse_wrong_clock(ledger: Ledger, authorities: Authorities, now: datetime) 
         )
 
 
-def was_ahead(ledger: Ledger, authorities: Authorities, now: datetime) -> bool:
+def was_ahead(ledger: Ledger, authorities: "Authorities", now: datetime) -> bool:
     """Whether lines of the future show that the clock was ahead once, rather than is behind now.
 
     Those of a time with a wrong clock lie together, and far from now; where the clock is behind,
@@ -75,7 +78,7 @@ def _later(ledger: Ledger, now: datetime, *kinds: str) -> datetime | None:
     return newest.made_at if newest and newest.made_at > now + CLOCK_SKEW else None
 
 
-def _doubts(ledger: Ledger, authorities: Authorities, now: datetime) -> Iterator[str]:
+def _doubts(ledger: Ledger, authorities: "Authorities", now: datetime) -> Iterator[str]:
     if at := _later(ledger, now, *_SIGNED):
         yield f"the ledger's newest line is of {said(at)}"
     if at := _later(ledger, now, "crl"):
