@@ -148,7 +148,7 @@ class CurrentFiles:
         if not (self.keystore.root / layout.enclave_folder(name) / layout.GOVERNANCE).is_symlink():
             found[layout.GOVERNANCE] = self._own_governance(name, files[layout.GOVERNANCE])
         for wanted in self._own(name):
-            found[wanted.file] = self._content(wanted)
+            found[wanted.file] = self._content(wanted, files.get(wanted.file))
         return found
 
     def _found(self) -> Iterator[tuple[str, bytes]]:
@@ -211,10 +211,14 @@ class CurrentFiles:
             )
         return data
 
-    def _content(self, wanted: LedgerFile) -> bytes:
-        """The content of the file in its place, if it is not older; else that of the database."""
+    def _content(self, wanted: LedgerFile, here: bytes | None = None) -> bytes:
+        """The content of the file in its place, if it is not older; else that of the database.
+
+        `here` is what the file has, if it was read before.
+        """
         path = self.keystore.root / wanted.folder / wanted.file
-        here = read(path) if exists(path) else None
+        if here is None and exists(path):
+            here = read(path)
         if here is not None and self._is_current(wanted, here):
             return here
         kept = {} if wanted.stays else self.keystore.kept({wanted.sha256})
