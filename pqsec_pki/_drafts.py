@@ -4,6 +4,7 @@ A process holds a lock on each while it uses it (flock(2)), which the system end
 So the next one that makes a draft in the same folder removes those without a lock.
 """
 
+import errno
 import fcntl
 import os
 import re
@@ -11,13 +12,17 @@ import shutil
 import stat
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from pathlib import Path
 
 PREFIX = ".pqsec-"
 _DRAFT = re.compile(r"\.pqsec-[0-9a-f]{16}")
 _OLDER = r"\.{}\.[0-9a-f]{{16}}"
 """The name that earlier versions gave to drafts of a file, which they did not lock."""
 _READ = os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC
+_FOLDER = os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC
 _NEW = os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC
+_CURRENT, _NO_REPLACE = -100, 1
+"""AT_FDCWD and RENAME_NOREPLACE of renameat2(2)."""
 
 Place = str | int
 """A folder: its path, or its descriptor."""
@@ -52,6 +57,41 @@ def draft_folder(folder: str) -> Iterator[str]:
     finally:
         shutil.rmtree(f"{folder}/{name}", ignore_errors=True)
         os.close(lock)
+
+
+def move_new(draft: Path, path: Path) -> None:
+    """Give the file `draft` the name `path`, without replacing anything; OSError.
+
+    FileExistsError if something is at `path`. Another name of the draft may stay.
+    """
+    try:
+        os.link(draft, path)
+    except FileExistsError:
+        raise
+    except OSError:  # exFAT and others have no hard links
+        _rename_new(draft, path)
+
+
+def _rename_new(draft: Path, path: Path) -> None:
+    """Rename without replacing anything: by renameat2(2), else as the only pqsec in the folder."""
+    import ctypes  # noqa: PLC0415 -- takes a millisecond, and few file systems need it
+
+    names = (_CURRENT, os.fsencode(draft), _CURRENT, os.fsencode(path))
+    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
+    if rename and rename(*names, _NO_REPLACE) == 0:
+        return
+    code = ctypes.get_errno() if rename else errno.ENOSYS
+    if code not in {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP}:
+        raise OSError(code, os.strerror(code), str(path))
+    folder = os.open(path.parent, _FOLDER)
+    try:
+        with suppress(OSError):  # nor has every file system locks
+            fcntl.flock(folder, fcntl.LOCK_EX)
+        if os.path.lexists(path):
+            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
+        draft.rename(path)
+    finally:
+        os.close(folder)
 
 
 @contextmanager
@@ -142,7 +182,7 @@ def _at(folder: Place) -> Iterator[int]:
     if isinstance(folder, int):
         yield folder
         return
-    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    handle = os.open(folder, _FOLDER)
     try:
         yield handle
     finally:

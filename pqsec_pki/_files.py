@@ -6,7 +6,6 @@ old content or the new one, never a part, also where there are no hard links. Pr
 """
 
 import errno
-import fcntl
 import os
 import select
 import stat
@@ -16,7 +15,7 @@ from contextvars import ContextVar
 from io import FileIO
 from pathlib import Path
 
-from pqsec_pki._drafts import draft_file, draft_folder, swept
+from pqsec_pki._drafts import draft_file, draft_folder, move_new, swept
 from pqsec_pki._owners import user
 from pqsec_pki.errors import ExistsError, FileError, MissingError
 
@@ -41,8 +40,6 @@ PUBLIC_MODE = 0o644
 PRIVATE_MODE = 0o600
 _FOLDER = os.O_RDONLY | os.O_DIRECTORY
 _UNNAMED = getattr(os, "O_TMPFILE", 0)
-_CURRENT, _NO_REPLACE = -100, 1
-"""AT_FDCWD and RENAME_NOREPLACE of renameat2(2)."""
 
 FileVersion = tuple[int, ...]
 """Inode, size and times of a file: another after it was changed. Empty if it is not there."""
@@ -248,41 +245,6 @@ def _is_written_unnamed(path: Path, data: bytes, mode: int) -> bool:
             finally:
                 os.close(handle)
     return False
-
-
-def move_new(draft: Path, path: Path) -> None:
-    """Give the file `draft` the name `path`, without replacing anything; OSError.
-
-    FileExistsError if something is at `path`. Another name of the draft may stay.
-    """
-    try:
-        os.link(draft, path)
-    except FileExistsError:
-        raise
-    except OSError:  # exFAT and others have no hard links
-        _rename_new(draft, path)
-
-
-def _rename_new(draft: Path, path: Path) -> None:
-    """Rename without replacing anything: by renameat2(2), else as the only pqsec in the folder."""
-    import ctypes  # noqa: PLC0415 -- takes a millisecond, and few file systems need it
-
-    names = (_CURRENT, os.fsencode(draft), _CURRENT, os.fsencode(path))
-    rename = getattr(ctypes.CDLL(None, use_errno=True), "renameat2", None)
-    if rename and rename(*names, _NO_REPLACE) == 0:
-        return
-    code = ctypes.get_errno() if rename else errno.ENOSYS
-    if code not in {errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP}:
-        raise OSError(code, os.strerror(code), str(path))
-    folder = os.open(path.parent, _FOLDER)
-    try:
-        with suppress(OSError):  # nor has every file system locks
-            fcntl.flock(folder, fcntl.LOCK_EX)
-        if os.path.lexists(path):
-            raise FileExistsError(errno.EEXIST, os.strerror(errno.EEXIST), str(path))
-        draft.rename(path)
-    finally:
-        os.close(folder)
 
 
 def refuse_without_links(folder: Path, what: str, *, hard: bool = False) -> None:

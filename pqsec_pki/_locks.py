@@ -31,7 +31,7 @@ def lock(folder: int, kind: int) -> None:
     fcntl.flock(folder, kind | fcntl.LOCK_NB)
 
 
-def _let_go() -> None:
+def _open_again() -> None:
     """In a fork: open each locked folder again, since the lock is of the open description."""
     for folder in _locked:
         try:
@@ -44,4 +44,4 @@ def _let_go() -> None:
     _locked.clear()
 
 
-os.register_at_fork(after_in_child=_let_go)
+os.register_at_fork(after_in_child=_open_again)

@@ -133,7 +133,7 @@ def _access_list(place: str | int) -> list[tuple[int, int, int]]:
 def _is_private(number: int) -> bool:
     """Whether it is the caller's private group: of the same name, without other members.
 
-    Members are users whom the group names, and those whose primary group it is. A directory may
+    Members are users that the group names, and those whose primary group it is. A directory may
     not list its users (as sssd with `enumerate = false`); if the caller is not listed, others may
     be missing too, and the group is not taken for private.
     """

@@ -266,7 +266,7 @@ def _open_closed_streams() -> None:
     """Connect closed standard streams to /dev/null, so that no opened file gets their number."""
     while (handle := os.open(os.devnull, os.O_RDWR)) < len(_STREAMS):
         name, mode = _STREAMS[handle]
-        setattr(sys, name, os.fdopen(handle, mode))
+        setattr(sys, name, os.fdopen(handle, mode, closefd=False))  # `_output` may replace it
     os.close(handle)
 
 

@@ -14,7 +14,7 @@ from pqsec_pki.documents import DomainSet, Grant, lasting, ros
 from pqsec_pki.errors import UsageError, located
 from pqsec_pki.lifecycle import ParticipantSpec
 
-_SIGNED = "what the CAs sign"
+SIGNED = "what the CAs sign"
 
 
 def output_options(command: _settings.Command) -> _settings.Command:
@@ -64,7 +64,7 @@ _ENCLAVE_HINT = (
 
 def names_in(policy: Path, *, now: datetime) -> tuple[str, ...]:
     """The names that the policy has grants for. UsageError if there is none but `/`."""
-    refuse_obeyed([policy], _SIGNED)
+    refuse_obeyed([policy], SIGNED)
     if policy.suffix == ".xml":
         found = [enclave.path for enclave in documents.sros2.read_policy(policy)]
     else:
@@ -109,7 +109,7 @@ def grants_in(policy: Path, spec: ParticipantSpec, now: datetime) -> tuple[Grant
     SROS2 policies have no domains or validity: those of `spec` are used. FileError if another user
     could change the policy.
     """
-    refuse_obeyed([policy], _SIGNED)
+    refuse_obeyed([policy], SIGNED)
     if policy.suffix == ".xml":
         not_before, not_after = lasting(now, spec.validity)
         enclaves = documents.sros2.read_policy(policy)

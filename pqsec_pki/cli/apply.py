@@ -12,6 +12,7 @@ from pqsec_pki._progress import stage
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._confirmation import confirm
 from pqsec_pki.cli._plan_file import command_of, plan_in, refuse_choices, run_command
+from pqsec_pki.cli._policy import SIGNED
 from pqsec_pki.cli._superseded import note_superseded
 from pqsec_pki.cli.plan import (
     PROPOSAL_SUFFIX,
@@ -155,9 +156,6 @@ def apply(  # noqa: PLR0913 -- one for each option, by name
         click.get_current_context().exit(1)
 
 
-_SIGNED = "what the CAs sign"
-
-
 @dataclass(frozen=True, slots=True)
 class _Wanted:
     """The changes to make."""
@@ -208,9 +206,9 @@ def _read(file: Path, *, check: bool) -> Desired:
     """The domain file; FileError if another user could change what the CAs will sign."""
     if check:
         return read_domain(file)
-    with trusted_files(_SIGNED):
+    with trusted_files(SIGNED):
         desired = read_domain(file)
-    refuse_obeyed(desired.request_files, _SIGNED)
+    refuse_obeyed(desired.request_files, SIGNED)
     return desired
 
 

@@ -200,7 +200,7 @@ def revoke(ids: tuple[str, ...], file: Path) -> None:
 
 
 def _note_revoked(keystore: Keystore, names: str, now: datetime, *, after_revocation: bool) -> None:
-    """Note whom a token for several does not admit, because they were revoked."""
+    """Note which participants the token does not admit, because they were revoked."""
     revoked = [each.name for each in status_of(keystore, now=now).participants if each.revoked]
     found = dict.fromkeys(one for each in names.split() for one in matching(each, revoked))
     if found and not after_revocation:

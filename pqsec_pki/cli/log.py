@@ -211,9 +211,8 @@ def _verify(keystore: Keystore, head: str | None, anchors: Path | None) -> None:
     older = older_copies(keystore)
     if older:
         _printing.note(
-            "older copy: another machine with this ledger made newer ones of"
-            f" {_printing.few(list(map(str, older)))}; `pqsec ca recover` gets the governance and"
-            " the list"
+            f"older copies: {_printing.few(list(map(str, older)))}; another machine with this"
+            " ledger made newer ones; `pqsec ca recover` gets the governance and the list"
         )
     value: dict[str, object] = {"ok": True, "lines": count, "head": newest, "older": older}
     said = [f"the ledger is complete: {count} lines, head {newest}"]

@@ -17,6 +17,7 @@ from pqsec_pki.keystore import (
     Entry,
     Keystore,
     ListDelivery,
+    ParticipantState,
     RobotState,
     State,
     Status,
@@ -125,20 +126,8 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     earlier = superseded_certificates(keystore, now=standing.at)
     standing = standing.only(set(map(State, states)) or None, domain, expires_before)
     robots = robot_states(keystore, standing.participants)
-    rows = [
-        {
-            **each.to_json(),
-            _SUPERSEDED: [_certificate(old) for old in earlier.get(each.name, ())],
-            **robots[each.name].to_json(),
-        }
-        for each in standing.participants
-    ]
-    if unsigned := [each.name for each in standing.participants if not each.permissions]:
-        _printing.note(
-            f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
-        )
-    for what, at in standing.future:
-        _printing.note(f"{what} was signed {said(at)}: the clock is behind, or was ahead then")
+    rows = [_value(each, earlier.get(each.name, ()), robots) for each in standing.participants]
+    _note(standing)
     faults, policy = faults_of_ledger(keystore), keystore.approvals
     if prometheus:
         lists = ListMetrics(delivery, sum(map(len, earlier.values())))
@@ -207,8 +196,25 @@ def _lines(  # noqa: PLR0913, PLR0917 -- what there is to tell
         )
 
 
-def _certificate(entry: Entry) -> dict[str, object]:
-    return {"serial": entry.serial, "not_after": entry.ends}
+def _value(
+    state: ParticipantState, earlier: Sequence[Entry], robots: Mapping[str, RobotState]
+) -> dict[str, object]:
+    """The participant for --json."""
+    return {
+        **state.to_json(),
+        _SUPERSEDED: [{"serial": each.serial, "not_after": each.ends} for each in earlier],
+        **robots[state.name].to_json(),
+    }
+
+
+def _note(standing: Status) -> None:
+    """Note which participants have no permissions, and what was signed later than now."""
+    if unsigned := [each.name for each in standing.participants if not each.permissions]:
+        _printing.note(
+            f"no permissions were signed yet for {_printing.few(unsigned)}: `pqsec permit`"
+        )
+    for what, at in standing.future:
+        _printing.note(f"{what} was signed {said(at)}: the clock is behind, or was ahead then")
 
 
 def _earlier(entries: Sequence[Entry]) -> str:

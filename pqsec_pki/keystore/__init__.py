@@ -58,6 +58,7 @@ Questions:
     receipt              what a robot says that it runs, and its line in the ledger
     robots               what each robot runs and should run, by the newest receipts
     superseded           certificates that were replaced and are still valid
+    accepted_certificates    the revoked ones that a robot with an older list accepts
     delivery             which robots lack the newest revocation list, and what they accept
 """
 
@@ -84,6 +85,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._shared_files import LedgerFile, files_elsewhere
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
+    from pqsec_pki.keystore.accepted_certificates import AcceptedCertificate
     from pqsec_pki.keystore.anchoring import (
         Anchored,
         anchored_head,
@@ -109,7 +111,6 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.delivery import (
         ADMISSION,
         MOST_SHOWN,
-        AcceptedCertificate,
         LateRobot,
         ListDelivery,
         Way,

@@ -7,10 +7,8 @@ from datetime import datetime
 
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import PLACE
 from pqsec_pki.keystore.compromised import keys_detail
-
-PLACE = "place"
-"""The detail with the folder in the keystore, of a document that was signed into it by hand."""
 
 
 def certificate_entry(  # noqa: PLR0913 -- the fields of the line, the rarer ones by name

@@ -33,15 +33,17 @@ from pqsec_pki._places import make_folders
 from pqsec_pki.errors import FileError, InterruptedChangeError, KeystoreError
 from pqsec_pki.keystore import _moves, _shared
 from pqsec_pki.keystore._address import LedgerAddress
+from pqsec_pki.keystore._fetched_files import newer_elsewhere, refuse_older_files, stage
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest, locked
 from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
-from pqsec_pki.keystore._outsiders import refuse_open_keystore
+from pqsec_pki.keystore._outsiders import refuse_open_keystore, refuse_open_root
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
 from pqsec_pki.keystore._transaction import Transaction
+from pqsec_pki.keystore.heads import compared
 from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN, SETTINGS
 
 if TYPE_CHECKING:
@@ -64,7 +66,7 @@ def change(
     FileError for a disk error. The lines go into the database at `address`, if it is given.
     """
     with _disk_errors(root):
-        refuse_open_keystore(root)
+        refuse_open_root(root)
         make_folders(root, 0o755)
         with locked(root) as folder:
             _settle(folder)
@@ -110,16 +112,12 @@ def _compare_ledger(root: Folder, database: "PostgresLedger | None") -> None:
     """KeystoreError if the ledger, which the change extends, is not the one of the signed head."""
     if root.kind(SETTINGS) is None:  # a keystore that is created or adopted
         return
-    from pqsec_pki.keystore.heads import compared  # noqa: PLC0415 -- it imports authorities
-
     with root.below(PRIVATE) as private:
         compared(Path(root.path), lambda: Ledger(database or FileStore(private))).close()
 
 
 def _fetch(root: Folder, database: "PostgresLedger") -> None:
     """Get the governance and the list that other machines wrote, before a change uses them."""
-    from pqsec_pki.keystore._fetched_files import newer_elsewhere, stage  # noqa: PLC0415 -- rare
-
     name = f"{DRAFT}{secrets.token_hex(8)}"
     if not newer_elsewhere(Transaction(root, root, database=database)):
         return
@@ -253,8 +251,6 @@ def _rename(root: Folder, old: str, new: str) -> None:
 def _commit(transaction: Transaction, name: str) -> None:
     transaction.refuse_full_ledger()
     if transaction.entries and not transaction.begins_ledger:
-        from pqsec_pki.keystore._fetched_files import refuse_older_files  # noqa: PLC0415 -- cycle
-
         refuse_older_files(transaction)
     transaction.sign_head()
     transaction.refuse_folders()

@@ -62,6 +62,8 @@ Row: TypeAlias = tuple[int, str, str, str, str]
 """Number, kind, name, SHA-256 and chain value of a line."""
 ABOVE = "above"
 """The detail of the first line for that number."""
+PLACE = "place"
+"""The detail with the folder in the keystore, of a document that was signed into it by hand."""
 _ORIGIN = 32
 """Hexadecimal digits of a chain value that name a ledger."""
 
@@ -190,9 +192,9 @@ class Ledger:
 
     def placed(self, kind: str) -> dict[str, Entry]:
         """The newest entry of that kind for each folder into which one was signed by hand."""
-        place = _DETAIL.format("place")
+        place = _DETAIL.format(PLACE)
         found = self._find(f"kind = ? AND {place} IS NOT NULL ORDER BY number", kind)
-        return {str(each.details["place"]): each for each in found}
+        return {str(each.details[PLACE]): each for each in found}
 
     def last_of(self, *kinds: str) -> Entry | None:
         """The newest entry of these kinds; None if there is none."""

@@ -23,7 +23,7 @@ MAX_SIZE = 512 << 20
 """Bytes; about 400,000 participants, each renewed once. SQLite takes 1 GiB into memory."""
 
 _RESERVED = 1024
-"""This part of the size, the last, is for revocations: a full ledger must not keep a thief in."""
+"""This part of the size, the last, is for revocations: a full ledger must not prevent them."""
 _REVOKING = frozenset({"revocation", "compromise", "crl"})
 _OF_LINE = 4096, 4
 """Bytes that a line takes at most: so many, and so many times its text, in table and indices."""

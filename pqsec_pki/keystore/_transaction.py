@@ -22,6 +22,8 @@ from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._shared_files import LedgerFile, recorded_files
 from pqsec_pki.keystore._store import MAX_DETAILS
+from pqsec_pki.keystore.heads import extended
+from pqsec_pki.keystore.signing_clock import refuse_wrong_clock
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -175,8 +177,6 @@ class Transaction:
         """KeystoreError as of `refuse_wrong_clock`, by the time of the first lines of a change."""
         if self.authorities is None or self.clock_was_checked or not entries:
             return
-        from pqsec_pki.keystore.signing_clock import refuse_wrong_clock  # noqa: PLC0415 -- it imports authorities
-
         with self.opened_ledger() as ledger:
             refuse_wrong_clock(ledger, self.authorities, entries[0].made_at)
         self.clock_was_checked = True
@@ -185,8 +185,6 @@ class Transaction:
         """Stage the head of the ledger with the new lines, if the signers' keys were opened."""
         if self.authorities is None or not self.authorities.can_sign:
             return
-        from pqsec_pki.keystore.heads import extended  # noqa: PLC0415 -- authorities import this
-
         path = Path(self.root.path)
         with self.opened_ledger() as ledger:
             signed = extended(path, ledger, self.entries, self.authorities)

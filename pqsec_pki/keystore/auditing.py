@@ -17,7 +17,7 @@ from pqsec_pki.errors import (
 )
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import START, Entry, Line, problems
-from pqsec_pki.keystore._entries import PLACE
+from pqsec_pki.keystore._ledger import PLACE
 from pqsec_pki.keystore._replaced_cas import expected_cas
 from pqsec_pki.keystore.anchoring import head_problems, ledger_tree, read_anchors
 from pqsec_pki.keystore.keystore import Keystore

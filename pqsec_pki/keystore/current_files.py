@@ -148,7 +148,7 @@ class CurrentFiles:
         if not (self.keystore.root / layout.enclave_folder(name) / layout.GOVERNANCE).is_symlink():
             found[layout.GOVERNANCE] = self._own_governance(name, files[layout.GOVERNANCE])
         for wanted in self._own(name):
-            found[wanted.file] = self._content(wanted)
+            found[wanted.file] = self._content(wanted, files.get(wanted.file))
         return found
 
     def _found(self) -> Iterator[tuple[str, bytes]]:
@@ -160,7 +160,7 @@ class CurrentFiles:
             yield layout.LIST, self._content(wanted)
         elif exists(path := self.keystore.root / _LIST):
             raise KeystoreError(
-                f"{path} is there, but by the ledger its CA has no list now",
+                f"{path} exists, but by the ledger its CA has no list now",
                 hint="remove it, or issue a list: `pqsec ca crl`",
             )
 
@@ -185,7 +185,7 @@ class CurrentFiles:
                 "copy public/ and private/ from the machine where `pqsec ca rotate` ran:"
                 " docs/how-to/postgresql.md"
             )
-        return "restore it from a backup: who trusted that file would trust another CA"
+        return "restore it from a backup: whoever trusts that file trusts another CA"
 
     def _own(self, name: str) -> Iterator[LedgerFile]:
         """The participant's certificate and permissions by the ledger."""
@@ -211,10 +211,14 @@ class CurrentFiles:
             )
         return data
 
-    def _content(self, wanted: LedgerFile) -> bytes:
-        """The content of the file in its place, if it is not older; else that of the database."""
+    def _content(self, wanted: LedgerFile, here: bytes | None = None) -> bytes:
+        """The content of the file in its place, if it is not older; else that of the database.
+
+        `here` is what the file has, if it was read before.
+        """
         path = self.keystore.root / wanted.folder / wanted.file
-        here = read(path) if exists(path) else None
+        if here is None and exists(path):
+            here = read(path)
         if here is not None and self._is_current(wanted, here):
             return here
         kept = {} if wanted.stays else self.keystore.kept({wanted.sha256})
@@ -240,8 +244,10 @@ class CurrentFiles:
         words = f"{path} is not the newest {what} that the ledger has"
         sha256 = digest_of(wanted.file, here) or ""
         if older := self.ledger.line_of((wanted.kind,), sha256):
-            return KeystoreError(f"{words}: it is of line {older}, not of {line}", hint=hint)
-        words = f"{words}: it is of no line"
+            return KeystoreError(
+                f"{words}: it is that of line {older}, not of line {line}", hint=hint
+            )
+        words = f"{words}: no line of the ledger has it"
         return VerificationError(words, code=Code.CONTENT_CHANGED, hint=hint)
 
     def _way_out(self, wanted: LedgerFile) -> str:

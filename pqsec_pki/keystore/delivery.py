@@ -7,31 +7,27 @@ that lacks the list: nobody knows that it has it.
 
 import shlex
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.credentials import REVOCATION_LIST
-from pqsec_pki.documents import DefaultAction, Grant
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore._chain import Entry
-from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore.accepted_certificates import AcceptedCertificate, Revocations
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.receipt import RECEIPT, Receipt
 from pqsec_pki.keystore.states import ParticipantState, participant_states
-from pqsec_pki.keystore.status_report import signed_grants
 
 ADMISSION = "admission"
 """The kind of lines about requests that a server admitted."""
 MOST_SHOWN = 10
 """Names in words; JSON has all."""
-_MOST_TOPICS = 3
 
 
 class Way(StrEnum):
@@ -43,26 +39,6 @@ class Way(StrEnum):
     """It generated its keys, or sent a receipt: `pqsec install` installs a bundle."""
     COPY = "copy"
     """Its keys were generated here: its folder was exported or copied."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class AcceptedCertificate:
-    """A revoked certificate that has not expired."""
-
-    name: str
-    serial: str
-    not_after: datetime
-    list_number: int | None
-    """The number of the first list that has it; None if a CA issued it that was replaced since, so
-    that no list of today has it: a robot with the files of that CA accepts it."""
-    rights: tuple[str, ...]
-    """What its participant's permissions allow, such as `publish rt/estop`; empty if they cannot
-    be read."""
-
-    def __str__(self) -> str:
-        topics = [*self.rights[:_MOST_TOPICS]]
-        topics += ["..."] if len(self.rights) > len(topics) else []
-        return f"{self.name} ({', '.join(topics)})" if topics else self.name
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -219,8 +195,7 @@ def list_delivery(
         own = [each for each in lists.values() if each.issuer == issuer]
         if not own or Overlap.of(keystore):
             return None
-        lines = ledger.numbers("crl")
-        revocations = _Revocations.of(keystore, ledger, own, lines, now)
+        revocations = Revocations.of(keystore, ledger, own, now)
         receipts = {each.name: Receipt.of(each) for each in ledger.newest(RECEIPT)}
         admitted = {each.details.get("participant", "") for each in ledger.of_kind(ADMISSION)}
         states = participants or participant_states(keystore, ledger, now=now)
@@ -232,18 +207,17 @@ def list_delivery(
         held = lists.get(receipt.files.get(REVOCATION_LIST, "")) if receipt else None
         if held is own[-1]:
             continue
-        is_own = held is not None and held.issuer == issuer
-        found = revocations.accepted(held, lines[held.sha256] if held else 0, is_own=is_own)
-        accepted |= found.keys()
+        ends = revocations.accepted_with(held)
+        accepted |= ends.keys()
         late.append(
             LateRobot(
                 name=each.name,
                 groups=groups.get(each.name, ()),
                 has_receipt=receipt is not None,
-                list_number=held.list_number if held and is_own else None,
+                list_number=held.list_number if held and held.issuer == issuer else None,
                 list_ends=held.ends if held else None,
                 way=_way(each, receipt, admitted),
-                until=_until(found, held),
+                until=_until(ends, held),
             )
         )
     return ListDelivery(
@@ -253,66 +227,6 @@ def list_delivery(
         late=tuple(late),
         accepted=tuple(each for each in revocations.every if each.serial in accepted),
     )
-
-
-@dataclass(frozen=True, slots=True)
-class _Revocations:
-    """The revoked certificates that have not expired, oldest revocation first."""
-
-    every: tuple[AcceptedCertificate, ...]
-    lines: tuple[int, ...]
-    """The ledger line of each revocation."""
-    now: datetime
-    known: dict[tuple[int, bool], dict[str, datetime]]
-    """What was found before: thousands of robots have the same list."""
-
-    @classmethod
-    def of(
-        cls,
-        keystore: Keystore,
-        ledger: Ledger,
-        own: Sequence[Entry],
-        list_lines: Mapping[str, int],
-        now: datetime,
-    ) -> Self:
-        """`own` are the lists of the CA that issues now."""
-        line_of, rights = ledger.numbers("revocation"), dict[str, tuple[str, ...]]()
-        found, lines = [], []
-        for each in ledger.of_kind("revocation"):
-            if each.ends < now:
-                continue
-            line = line_of[each.sha256]
-            having = (one for one in own if list_lines[one.sha256] > line)
-            first = next(having, None) if each.issuer == own[-1].issuer else None
-            if each.name not in rights:
-                rights[each.name] = _rights(keystore, each.name)
-            lines.append(line)
-            found.append(
-                AcceptedCertificate(
-                    name=each.name,
-                    serial=f"{each.serial_number:x}",
-                    not_after=each.ends,
-                    list_number=first.list_number if first else None,
-                    rights=rights[each.name],
-                )
-            )
-        return cls(tuple(found), tuple(lines), now, {})
-
-    def accepted(self, held: Entry | None, line: int, *, is_own: bool) -> dict[str, datetime]:
-        """The ends of those that a robot with the list `held` of that line accepts, by serial.
-
-        A list that has ended lets nobody in. A robot with a list of the CA that issues now has its
-        files, and no longer trusts one that was replaced.
-        """
-        if held and held.ends < self.now:
-            return {}
-        if (line, is_own) not in self.known:
-            self.known[line, is_own] = {
-                each.serial: each.not_after
-                for number, each in zip(self.lines, self.every, strict=True)
-                if number > line and not (is_own and each.list_number is None)
-            }
-        return self.known[line, is_own]
 
 
 def _until(accepted: Mapping[str, datetime], held: Entry | None) -> datetime | None:
@@ -341,20 +255,3 @@ def _groups_of(keystore: Keystore) -> dict[str, tuple[str, ...]]:
             for name in names:
                 found[name] = (*found.get(name, ()), group)
     return found
-
-
-def _rights(keystore: Keystore, name: str) -> tuple[str, ...]:
-    """What the permissions in the participant's folder allow; empty if they cannot be read."""
-    with suppress(PqsecError):
-        grants = signed_grants(keystore, name)
-        return tuple(dict.fromkeys(each for grant in grants for each in _allowed(grant)))
-    return ()
-
-
-def _allowed(grant: Grant) -> Iterator[str]:
-    if grant.default is DefaultAction.ALLOW:
-        yield "all that is not denied"
-    for rule in grant.rules:
-        for word, criteria in (("publish", rule.publish), ("subscribe", rule.subscribe)):
-            for topic in (topic for each in criteria for topic in each.topics if rule.allow):
-                yield f"{word} {topic}"

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import lru_cache
 from itertools import takewhile
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, read
@@ -26,10 +27,12 @@ from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest
-from pqsec_pki.keystore.authorities import Authorities
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.authorities import Authorities
 
 MAX_TREE = 16 << 10
 """Bytes; 63 hashes take 5 kB."""
@@ -159,12 +162,10 @@ def _has_lines(root: Path, ledger: Ledger, head: TreeHead) -> bool:
     """
     if not head.size:
         return True
-    stored = _stored(root / layout.PUBLIC / layout.TREE)
-    if not (stored and stored.is_sound and (stored.size, stored.root) == (head.size, head.root)):
-        stored = CompactRange()
-        count, wanted = head.size, head.root
-    else:
+    if stored := _stored(root, head):
         count, wanted = head.size & -head.size, stored.subtrees[-1]
+    else:
+        count, wanted = head.size, head.root
     rows = ledger.rows(after=head.size - count)
     own = takewhile(lambda each: each[0] <= head.size, rows)
     tree = CompactRange().extended(leaf_of(*row) for row in own)
@@ -206,7 +207,7 @@ def _verified(head: bytes, *signers: bytes) -> Checkpoint:
 
 
 def extended(
-    root: Path, ledger: Ledger, entries: Sequence[Entry], authorities: Authorities
+    root: Path, ledger: Ledger, entries: Sequence[Entry], authorities: "Authorities"
 ) -> SignedTree | None:
     """The next head, over all lines of `ledger` and then `entries`, which are added to it.
 
@@ -231,17 +232,19 @@ def extended(
 
 def _tree_before(root: Path, ledger: Ledger, head: TreeHead) -> CompactRange | None:
     """The tree of which `head` is the head, as stored, or else of the ledger's lines."""
-    stored = _stored(root / layout.PUBLIC / layout.TREE)
-    if stored and stored.is_sound and (stored.size, stored.root) == (head.size, head.root):
+    if stored := _stored(root, head):
         return stored
     rows = (row for row in ledger.rows() if row[0] <= head.size)
     tree = CompactRange().extended(leaf_of(*row) for row in rows)
     return tree if (tree.size, tree.root) == (head.size, head.root) else None
 
 
-def _stored(path: Path) -> CompactRange | None:
+def _stored(root: Path, head: TreeHead) -> CompactRange | None:
+    """The stored tree; None if it is damaged or not that of `head`."""
     try:
-        value = json.loads(read(path, limit=MAX_TREE))
-        return CompactRange(int(value["size"]), tuple(map(bytes.fromhex, value["subtrees"])))
+        value = json.loads(read(root / layout.PUBLIC / layout.TREE, limit=MAX_TREE))
+        tree = CompactRange(int(value["size"]), tuple(map(bytes.fromhex, value["subtrees"])))
     except (PqsecError, ValueError, KeyError, TypeError, RecursionError):
         return None
+    is_of_head = tree.is_sound and (tree.size, tree.root) == (head.size, head.root)
+    return tree if is_of_head else None

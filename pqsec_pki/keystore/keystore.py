@@ -40,6 +40,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.authorities import Authorities, unlock
 from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, read_ca_key
 from pqsec_pki.keystore.groups import read_groups
+from pqsec_pki.keystore.heads import compared
 from pqsec_pki.keystore.participant import (
     enclave_files,
     load_first_certificate,
@@ -440,8 +441,6 @@ class Keystore:
         """
         if self.is_as_found:
             return self._read_ledger()
-        from pqsec_pki.keystore.heads import compared  # noqa: PLC0415 -- it imports authorities
-
         return compared(self.root, self._read_ledger)
 
     @property

@@ -6,12 +6,15 @@ is ahead cannot be told from a fleet in which nothing was signed for long.
 
 from collections.abc import Iterator
 from datetime import datetime
+from typing import TYPE_CHECKING
 
 from pqsec_pki._times import said
 from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore._ledger import Ledger
-from pqsec_pki.keystore.authorities import Authorities
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.authorities import Authorities
 
 CLOCK_SKEW = BACKDATE
 """What is signed begins so much earlier, for clocks that differ: up to that, what the clock that is
@@ -24,7 +27,7 @@ _SIGNED = (
 clock."""
 
 
-def refuse_wrong_clock(ledger: Ledger, authorities: Authorities, now: datetime) -> None:
+def refuse_wrong_clock(ledger: Ledger, authorities: "Authorities", now: datetime) -> None:
     """KeystoreError if something says that it is not `now`, if `authorities.compares_clock`.
 
     The ledger's newest line about what was signed, the newest revocation list or a CA begins more
@@ -40,18 +43,16 @@ def refuse_wrong_clock(ledger: Ledger, authorities: Authorities, now: datetime) 
         )
 
 
-def was_ahead(ledger: Ledger, authorities: Authorities, now: datetime) -> bool:
+def was_ahead(ledger: Ledger, authorities: "Authorities", now: datetime) -> bool:
     """Whether lines of the future show that the clock was ahead once, rather than is behind now.
 
     Those of a time with a wrong clock lie together, and far from now; where the clock is behind,
     the first of them are near. False without such lines, if none was written for longer than that,
     and at a time before the CAs were made.
     """
-    newest, last_list = ledger.last_of(*_SIGNED), ledger.last_of("crl")
-    late = now + CLOCK_SKEW
-    if not any(each and each.made_at > late for each in (newest, last_list)):
+    if not (_later(ledger, now, *_SIGNED) or _later(ledger, now, "crl")):
         return False
-    cas = (authorities.identity, *authorities.signers)
+    cas, late = (authorities.identity, *authorities.signers), now + CLOCK_SKEW
     if any(each.certificate.not_before + BACKDATE > late for each in cas):
         return False
     future = [at for each in ledger.of_kind(*_SIGNED) if (at := each.made_at) > late]
@@ -66,22 +67,27 @@ def signed_later(ledger: Ledger, now: datetime) -> Iterator[tuple[str, datetime]
         "the governance": ("governance",),
     }
     for what, kinds in found.items():
-        newest = ledger.last_of(*kinds)
-        if newest and newest.made_at > now + CLOCK_SKEW:
-            yield what, newest.made_at
+        if at := _later(ledger, now, *kinds):
+            yield what, at
 
 
-def _doubts(ledger: Ledger, authorities: Authorities, now: datetime) -> Iterator[str]:
-    newest, last_list = ledger.last_of(*_SIGNED), ledger.last_of("crl")
-    if newest and newest.made_at > now + CLOCK_SKEW:
-        yield f"the ledger's newest line is of {said(newest.made_at)}"
-    if last_list and last_list.made_at > now + CLOCK_SKEW:
-        yield f"the newest revocation list was signed on {said(last_list.made_at)}"
+def _later(ledger: Ledger, now: datetime, *kinds: str) -> datetime | None:
+    """When the newest line of these kinds was made, if that is later than `now`, by more than
+    CLOCK_SKEW."""
+    newest = ledger.last_of(*kinds)
+    return newest.made_at if newest and newest.made_at > now + CLOCK_SKEW else None
+
+
+def _doubts(ledger: Ledger, authorities: "Authorities", now: datetime) -> Iterator[str]:
+    if at := _later(ledger, now, *_SIGNED):
+        yield f"the ledger's newest line is of {said(at)}"
+    if at := _later(ledger, now, "crl"):
+        yield f"the newest revocation list was signed on {said(at)}"
     for ca in filter(None, (authorities.identity, *authorities.signers)):
         begin = ca.certificate.not_before
         if begin > now + CLOCK_SKEW:
             yield f"{ca.certificate.subject_name} begins on {said(begin)}"
-    end = authorities.permissions.certificate.not_after
+    last_list, end = ledger.last_of("crl"), authorities.permissions.certificate.not_after
     if last_list and max(last_list.ends, end) < now:
         yield (
             f"the revocation list ended on {said(last_list.ends)}, and the permissions CA, which"

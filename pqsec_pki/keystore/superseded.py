@@ -1,4 +1,4 @@
-"""Certificates that were replaced and are still valid: whoever has their keys is let in.
+"""Certificates that were replaced and are still valid: others accept whoever has their keys.
 
 A certificate is replaced by a renewal, by `issue --force` and `apply`, and by an enrolment for new
 keys; only a revocation or its end ends it.

@@ -324,8 +324,7 @@ class CallHandler:
         """
         path = self.keystore.root / layout.enclave_folder(name) / layout.REQUEST
         with self.keystore.hold(keep_connection=True):
-            with self.keystore.open_ledger() as ledger:
-                self.seen.refuse_less(self.keystore.root, ledger)
+            with self._whole_ledger() as ledger:
                 spec = self._admission(ledger).again(name, path)
                 if spec:
                     self._recover_clock(ledger)

@@ -20,10 +20,11 @@ def keep_list(
     found = keystore.revocation_list
     end = found.next_update if found else None
     with keystore.open_ledger() as ledger:
-        healing = was_ahead(ledger, authorities, now)
-    if found and end and State.at(now, found.this_update, end, None) is State.VALID and not healing:
+        recovers = was_ahead(ledger, authorities, now)
+    is_valid = found and end and State.at(now, found.this_update, end, None) is State.VALID
+    if is_valid and not recovers:
         return False
     # Robots order lists by their numbers: a list does no harm if it is this clock that is wrong.
-    authorities = replace(authorities, compares_clock=authorities.compares_clock and not healing)
+    authorities = replace(authorities, compares_clock=authorities.compares_clock and not recovers)
     renew_list(keystore, authorities, now=now, validity=validity)
     return True

@@ -9,13 +9,12 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._drafts import draft_folder
+from pqsec_pki._drafts import draft_folder, move_new
 from pqsec_pki._files import (
     PRIVATE_MODE,
     PUBLIC_MODE,
     create,
     disk_errors,
-    move_new,
     read,
     refuse_existing,
 )

@@ -3,19 +3,22 @@
 In `.ci/long` with 10,000 connections, or as many as this machine lets a process have.
 """
 
+import hashlib
 import resource
 import signal
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from socket import socket
 
 import pytest
 from OpenSSL import SSL
 
+from pqsec_pki.keystore import Entry, change
+from pqsec_pki.keystore.layout import LEDGER
 from pqsec_pki.server.asking import MOST_OPEN
 from pqsec_pki.server.configuration import ServerLimits
 from pqsec_pki.server.limiting import Shares
@@ -24,6 +27,7 @@ from tests.unit.serving import HOST, Robot, Server, basic, received, reply_in
 from tests.unit.test_serve_hostile import counted, until
 
 MIB = 1 << 20
+DAY = timedelta(days=1)
 OF_ADDRESS = 50
 HALF_OPEN, SLOW, READERS = (10_000, 600, 60) if LONG else (1000, 40, 20)
 ROOM = 2000 if LONG else 100
@@ -160,8 +164,13 @@ def test_strangers_with_many_requests_keep_no_robot_from_the_signer(tmp_path, si
 def test_an_answer_that_nobody_reads_is_not_in_memory_once_for_each(server):
     """The revocation list stands for whatever is large: the front sends what the signer gives."""
     data = bytes(range(256)) * (4 * MIB // 256)
-    path = server.keystore.revocation_list_path
+    path, ledger = server.keystore.revocation_list_path, server.keystore.root / "private" / LEDGER
+    before_it = ledger.read_bytes()
     path.write_bytes(data)
+    with change(server.keystore.root) as transaction:  # the server gives what the ledger has
+        issuer, now = server.keystore.identity_ca.fingerprint, datetime.now(UTC)
+        sha256 = hashlib.sha256(data).hexdigest()
+        transaction.record(Entry.of("crl", "", sha256, now, not_after=now + DAY, issuer=issuer))
     ask = b"GET /pqsec/v1/revocation-lists HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n"
     try:
         assert server.send("GET", "/pqsec/v1/revocation-lists").body == data
@@ -178,4 +187,5 @@ def test_an_answer_that_nobody_reads_is_not_in_memory_once_for_each(server):
             assert reply_in(received(links[0])).body == data
     finally:
         path.unlink()
+        ledger.write_bytes(before_it)
     assert grown < READERS * (200 << 10) + 40 * MIB  # what several asked at once came several times

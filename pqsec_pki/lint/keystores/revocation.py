@@ -54,8 +54,8 @@ def list_not_delivered(inventory: Inventory) -> Iterator[Violation]:
 
 @lint_rule(
     "PQS353", Severity.INFO, "a certificate that was replaced is still valid",
-    why="A renewal or a replacement does not end the certificate before. Whoever has its key, such"
-    " as the thief or the finder of a robot that was replaced, is let in until it expires.",
+    why="A renewal or a replacement does not end the certificate before. Other participants accept"
+    " whoever has its key until it expires, such as the thief of a robot that was replaced.",
     fix="If nobody needs it any more, run `pqsec revoke NAME --superseded`: it revokes those before"
     " the current certificate, and not that.",
     bad="$ pqsec -k k renew /talker",
