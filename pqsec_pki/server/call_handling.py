@@ -151,6 +151,7 @@ class CallHandler:
             with ExitStack() as opened:
                 try:
                     ledger = opened.enter_context(self._whole_ledger())
+                    self._recover_clock(ledger)
                 except PqsecError as error:
                     return [unavailable(error)] * len(calls)
                 deciding = self._admission(ledger)
@@ -185,7 +186,6 @@ class CallHandler:
         """The ledger; VerificationError if it lacks lines that were there (`SeenLedger`)."""
         with self.keystore.as_found.open_ledger() as ledger:
             self.seen.refuse_less(self.keystore.root, ledger)
-            self._recover_clock(ledger)
             yield ledger
 
     def _recover_clock(self, ledger: Ledger) -> None:
@@ -324,8 +324,7 @@ class CallHandler:
         """
         path = self.keystore.root / layout.enclave_folder(name) / layout.REQUEST
         with self.keystore.hold(keep_connection=True):
-            with self.keystore.open_ledger() as ledger:
-                self.seen.refuse_less(self.keystore.root, ledger)
+            with self._whole_ledger() as ledger:
                 spec = self._admission(ledger).again(name, path)
                 if spec:
                     self._recover_clock(ledger)
