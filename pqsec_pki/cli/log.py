@@ -208,7 +208,7 @@ def _verify(keystore: Keystore, head: str | None, anchors: Path | None) -> None:
         if _settings.settings().json:
             _printing.emit({"ok": False, "problems": error.lines}, [])
         raise
-    older = older_copies(keystore)
+    older = older_copies(keystore) if keystore.ledger_address else []
     if older:
         _printing.note(
             f"older copies: {_printing.few(list(map(str, older)))}; another machine with this"

@@ -73,14 +73,13 @@ def _head_problems(lines: list[Line], head: str | None) -> Iterator[str]:
 
 
 def older_copies(keystore: Keystore) -> list[Path]:
-    """The files that another machine with this ledger made again since; none without others.
+    """The files that are of an earlier line of the ledger than the newest about them.
 
-    Here they are of earlier lines. The next change gets the governance and the list; `CurrentFiles`
-    uses no older file. Errors as of `audit`.
+    Another machine with this ledger made them again since, or somebody put an earlier copy back.
+    With other machines, the next change gets the governance and the list; `CurrentFiles` uses no
+    older file. Errors as of `audit`.
     """
     keystore = keystore.as_found
-    if not keystore.ledger_address:
-        return []
     newest = _Newest.of(keystore, keystore.lines())
     with disk_errors(keystore.root):
         return [
@@ -117,7 +116,8 @@ class _Newest:
         except PqsecError:  # `audit` reports it
             return False
         if path.name in self.cas:
-            return hashes != self.cas[path.name]
+            known = all((kind, each) in self.numbers for each in hashes)
+            return known and hashes != self.cas[path.name]
         here = self.numbers.get((kind, hashes[0]), 0)
         return 0 < here < self.last.get((kind, name), 0)
 

@@ -17,6 +17,7 @@ from pqsec_pki.lifecycle import (
     sign_document,
     sign_governance,
 )
+from pqsec_pki.lint import check
 from pqsec_pki.policy import fleet_of
 from pqsec_pki.report import report_of
 from pqsec_pki.vendors import Options, export
@@ -65,6 +66,15 @@ def put_back(keystore, file):
 
 def name_of(file):
     return file.rpartition("/")[2]
+
+
+@pytest.mark.parametrize("file", CHANGES)
+def test_check_finds_an_older_file(keystore, file):
+    CHANGES[file](keystore)
+    assert "PQS009" not in {each.rule.id for each in check([keystore.root], now=LATER).findings}
+    older = put_back(keystore, file)
+    found = [each for each in check([older.root], now=LATER).findings if each.rule.id == "PQS009"]
+    assert [each.path for each in found] == [older.root / file]
 
 
 STACKS = ["cyclonedds", "fastdds", "opendds", "connext", "ros2"]

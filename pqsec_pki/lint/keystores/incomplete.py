@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import SETTINGS, faults_of_ledger
+from pqsec_pki.keystore import SETTINGS, faults_of_ledger, layout, older_copies
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
@@ -67,6 +67,34 @@ def other_ledger(inventory: Inventory) -> Iterator[Violation]:
     with suppress(PqsecError):  # private/ is not for everybody to read
         for fault in faults_of_ledger(inventory.keystore):
             yield Violation(fault, path=inventory.keystore.root / SETTINGS)
+
+
+@lint_rule(
+    "PQS009", Severity.ERROR, "a file of the keystore is older than the ledger's newest",
+    why="The ledger has a newer list, governance or certificate: somebody put an earlier copy back."
+    " Its signature is valid, but an old list lacks revocations, and old documents have rights that"
+    " were taken away. `pqsec bundle` and `pqsec export` refuse it; a copy of an enclave has it.",
+    fix="Restore the newest one from a backup, or make the next: `pqsec ca crl`, `pqsec apply` or"
+    " `pqsec sign-governance`, `pqsec issue NAME --force`. If another machine uses this ledger,"
+    " `pqsec ca recover` gets it.",
+    bad="""
+        $ pqsec -k k ca crl
+        $ cp -p k/public/identity_ca.crl.pem older
+        $ pqsec -k k ca crl
+        $ mv older k/public/identity_ca.crl.pem
+    """,
+    good="$ pqsec -k k ca crl",
+)  # fmt: skip
+def older_copy(inventory: Inventory) -> Iterator[Violation]:
+    keystore = inventory.keystore
+    if not keystore:
+        return
+    of_all = {keystore.root / each for each in (layout.PUBLIC, layout.ENCLAVES)}
+    with suppress(PqsecError):  # private/ is not for everybody to read
+        for path in older_copies(keystore):
+            # with other machines, those of one participant are where they were made
+            if not keystore.ledger_address or path.parent in of_all:
+                yield Violation("the ledger has a newer one", path=path)
 
 
 @lint_rule(
