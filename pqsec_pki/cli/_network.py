@@ -72,8 +72,9 @@ def report(found: "Sequence[Obtained | PqsecError]", folder: Path) -> None:
     """Send the receipt, and print what became of each participant; raise what failed."""
     done = [each for each in found if not isinstance(each, PqsecError)]
     failed = [each for each in found if isinstance(each, PqsecError)]
+    if done and (revoked := _send_receipt(folder, done[0].name)):
+        failed, done = [revoked, *failed], done[1:]
     if done:
-        _send_receipt(folder, done[0].name)
         for problem in dict.fromkeys(problem for each in done for problem in each.future):
             _printing.note(str(problem))
         lines = [
@@ -99,14 +100,20 @@ class FailedError(PqsecError):
         return tuple(line for each in self.errors for line in each.lines)
 
 
-def _send_receipt(folder: Path, name: str) -> None:
-    """Send it as the participant `name`, which the server has just served."""
-    from pqsec_pki.est import deliver_receipt  # noqa: PLC0415 -- a library of an extra
+def _send_receipt(folder: Path, name: str) -> PqsecError | None:
+    """Send it as the participant `name`; the error if its certificate, installed before, was
+    revoked.
+    """
+    from pqsec_pki.est import WasRevokedError, deliver_receipt  # noqa: PLC0415 -- of an extra
 
     try:
         deliver_receipt(folder, name)
+    except WasRevokedError as error:
+        error.where = error.where or name
+        return error
     except PqsecError as error:
         _printing.note(f"the server has no receipt yet; `pqsec renew --from` sends it: {error}")
+    return None
 
 
 def _words(each: "Obtained") -> str:

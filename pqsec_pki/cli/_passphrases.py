@@ -42,7 +42,8 @@ def option(command: _settings.Command) -> _settings.Command:
         is_flag=True,
         expose_value=False,
         callback=remember,
-        help="Sign although the clock is behind the ledger, or everything has ended by it.",
+        help="Sign although the clock is behind the ledger, or so far ahead that everything has"
+        " expired.",
     )
     add = click.option(
         "--passphrase-file",

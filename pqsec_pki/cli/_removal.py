@@ -53,8 +53,8 @@ class Removal:
             names, until = _printing.few(self.earlier), said(max(self.earlier.values()))
             revoke, rotate = self.commands
             yield (
-                f"the permissions that were signed before stay valid until {until} for whoever puts"
-                f" permissions.p7s back on the robot of {names}"
+                f"the permissions that were signed before stay valid until {until}, if somebody"
+                f" puts that permissions.p7s back on the robot of {names}"
             )
             yield (
                 "to end them now, revoke it, and issue it under another name, which they do not"

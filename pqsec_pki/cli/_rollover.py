@@ -4,6 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.algorithms import protection_lost
 from pqsec_pki.cli import _printing
+from pqsec_pki.keystore import State
 from pqsec_pki.lifecycle import RolloverPlan, RolloverResult, Scope
 from pqsec_pki.vendors import TRUST
 
@@ -67,8 +68,8 @@ def _change(plan: RolloverPlan) -> str:
 def _to_robots(plan: RolloverPlan) -> Iterator[str]:
     yield "copy to every robot its enclave folder, with the files that its links point to"
     yield "restart all participants of a domain together: stacks read the files when they start"
-    if plan.left_out:
-        yield f"reissue the participants that were left out: {', '.join(plan.left_out)}"
+    if names := [name for name, why in plan.left_out.items() if why != State.REVOKED]:
+        yield f"reissue the participants that were left out: {', '.join(names)}"
 
 
 def _breaks(plan: RolloverPlan) -> Iterator[str]:

@@ -1,6 +1,7 @@
 """pqsec adopt: turn a keystore of SROS2 or OpenSSL into a pqsec keystore."""
 
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -48,8 +49,9 @@ def adopt(folder: Path | None) -> None:
         _printing.note("no profile has these kinds of keys: new keys will be classical")
     if found.one_ca:
         _printing.note(
-            "one key is both identity CA and permissions CA (CVE-2023-24010): replace it with two"
-            " CAs with `pqsec ca rotate`; until then nothing can be issued"
+            "one key is both identity CA and permissions CA (CVE-2023-24010), so nothing can be"
+            f" issued: `pqsec -k {quote(str(found.keystore.root))} ca rotate` shows how to get"
+            " two CAs"
         )
 
 

@@ -61,7 +61,7 @@ _ON_LIST = {StepAction.REVOKE, StepAction.RENEW_CRL, StepAction.RENEW}
         ),
     },
     exit_codes={
-        0: "the keystore matches the file, but for participants that were revoked",
+        0: "the keystore matches the file, except for participants that were revoked",
         1: (
             "FILE is not valid, a participant stays blocked, or with --check there are changes to"
             " make; or a plan does not fit, or has too few approvals"

@@ -99,7 +99,7 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
 
     The change of rights is shown first. Either all participants are changed or none. Robots get
     the new permissions with their next bundle, or by a copy of the enclave. What was signed before
-    stays valid for whoever puts it back: --remove says until when, and how to end it now.
+    stays valid if somebody puts it back: --remove says until when, and how to end it now.
     """
     if add:
         note_ros_names(topics["publish"], topics["subscribe"])

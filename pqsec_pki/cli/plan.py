@@ -59,7 +59,7 @@ def chosen_ca(only: str | None) -> SigningCa | None:
         ),
     },
     exit_codes={
-        0: "the keystore matches the file, but for participants that were revoked",
+        0: "the keystore matches the file, except for participants that were revoked",
         1: "there are changes to make, or FILE is not valid, or the key is not an approver's",
         3: "FILE or the keystore cannot be read",
     },

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from pathlib import Path
+from shlex import quote
 
 import click
 
@@ -68,7 +69,7 @@ def plugin() -> None:
     "--dir",
     "folder",
     type=_settings.FOLDER,
-    help=f"Where to put it. [default: ~/{DEFAULT_FOLDER}]",
+    help=f"Put it in this folder. [default: ~/{DEFAULT_FOLDER}]",
 )
 @click.option(
     "--library",
@@ -94,7 +95,7 @@ def plugin() -> None:
 @click.option(
     "--systemd",
     is_flag=True,
-    help="Write units too, with which systemd keeps an agent from login on.",
+    help="Also write units with which systemd runs an agent from login on.",
 )
 @click.option("--force", is_flag=True, help="Replace what is there.")
 @_settings.command_options
@@ -110,9 +111,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
 ) -> None:
     """Compile the plugin for this machine, and try it.
 
-    STACK is cyclonedds, the default, fastdds or opendds. For Cyclone DDS it needs a C compiler;
-    beside the library are put two links by the names that ROS 2 loads. For Fast DDS and OpenDDS
-    it needs a C++ compiler and the headers of the stack, and is for that build of it only.
+    STACK is cyclonedds, the default, fastdds or opendds. For Cyclone DDS it needs a C compiler,
+    and also makes two links with the names that ROS 2 loads. For Fast DDS and OpenDDS it needs a
+    C++ compiler and the headers of the stack, and is for that build of the stack only.
     """
     folder = (folder or default_folder()).absolute()
     if library and stack != FASTDDS:
@@ -242,7 +243,8 @@ def uninstall(folder: Path | None, *, yes: bool) -> None:
             lambda: _printing.emit(None, [f"remove: {path}" for path in files]),
             "Remove these?",
             what=f"{_printing.counted(len(files), 'file')} would be removed",
-            hint="--yes removes them; `pqsec plugin status` lists what is installed",
+            hint="--yes removes them; `pqsec plugin status"
+            f" --dir {quote(str(folder))}` lists what is installed",
         )
     removed = remove_plugins(folder)
     for unit in units:

@@ -157,8 +157,8 @@ def _note_running(
     robots = robot_states(keystore, status_of(keystore, names, now=now).participants)
     if behind := [name for name, each in robots.items() if CERTIFICATE in each.changed]:
         _printing.note(
-            f"{_printing.few(behind)} by the newest receipt still run an earlier certificate: the"
-            " others will refuse them until they install the current one"
+            f"by its newest receipt, each of these still runs an earlier certificate:"
+            f" {_printing.few(behind)}; the others refuse it until it installs the current one"
         )
 
 

@@ -62,9 +62,9 @@ def _options(command: _settings.Command) -> _settings.Command:
 def sign_governance(file: Path, **choices: Any) -> None:
     """Check a governance document against its schema, and sign it.
 
-    The keystore's permissions CA signs what FILE, XML or YAML, says, always in the same form of
-    XML, without comments. An XML file of the keystore itself becomes what was signed. Nothing is
-    written if FILE is not valid.
+    The keystore's permissions CA signs the content of FILE (XML or YAML), written as XML in one
+    form, without comments. If FILE is an XML file in the keystore, it gets that form too. Nothing
+    is written if FILE is not valid.
     """
     _sign(Kind.GOVERNANCE, Governance.from_xml, file, **choices)
 
@@ -89,9 +89,9 @@ def sign_governance(file: Path, **choices: Any) -> None:
 def sign_permissions(file: Path, **choices: Any) -> None:
     """Check a permissions document against its schema, and sign it.
 
-    The keystore's permissions CA signs what FILE, XML or YAML, says, always in the same form of
-    XML, without comments. An XML file of the keystore itself becomes what was signed. Nothing is
-    written if FILE is not valid.
+    The keystore's permissions CA signs the content of FILE (XML or YAML), written as XML in one
+    form, without comments. If FILE is an XML file in the keystore, it gets that form too. Nothing
+    is written if FILE is not valid.
     """
     _sign(Kind.PERMISSIONS, Permissions.from_xml, file, **choices)
 

@@ -103,7 +103,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
 
     NAME may be a pattern ('/robot1/*') or a group (@hall1); without a NAME, all are
     shown. The data comes from the ledger, not from the files: check those with `pqsec check`.
-    A ledger without the lines of which the CAs signed a head, or with others, is reported.
+    A note says if the ledger does not have the lines of the newest head that the CAs signed.
 
     After `pqsec receipt import`, it also compares the files with those that each robot has
     installed: `robot` is current, outdated, or unknown without a receipt; then follow the numbers
@@ -111,7 +111,7 @@ def status(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     --outdated` writes what robots lack. It also says which robots do not have the newest
     revocation list, what they accept, and until when.
 
-    `superseded` are certificates before the current one that are still valid, with the last end:
+    `superseded` is the number of earlier certificates that are still valid, with the last end:
     `pqsec revoke NAME --superseded` ends them.
     """
     _formats.chosen(form)

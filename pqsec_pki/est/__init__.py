@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
-    from pqsec_pki.est.client import EstClient, ServerAnswer
+    from pqsec_pki.est.client import EstClient, ServerAnswer, WasRevokedError
     from pqsec_pki.est.known_server import KnownServer
     from pqsec_pki.est.linking import verify_est_request
     from pqsec_pki.est.messages import certs_only, from_base64, request_attributes, to_base64
@@ -96,6 +96,7 @@ __all__ = [
     "ServerTrust",
     "TlsIdentity",
     "WaitingError",
+    "WasRevokedError",
     "certs_only",
     "checked_url",
     "client_context",

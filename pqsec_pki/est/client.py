@@ -55,6 +55,10 @@ class RequestEndedError(VerificationError):
     """The server never answers this request, and may answer another one."""
 
 
+class WasRevokedError(VerificationError):
+    """The certificate, or the participant that asks for one, was revoked."""
+
+
 class TryAnotherError(PqsecError):
     """This server did not answer; another one of the same name may."""
 
@@ -185,8 +189,9 @@ class EstClient:
             raise PqsecError(words, hint="run the command again later")
         if problem.get("type") == REQUEST_ENDED:
             raise RequestEndedError(words)
-        revoked = problem.get("type") == WAS_REVOKED
-        raise VerificationError(words, hint=_READMISSION if revoked else None)
+        if problem.get("type") == WAS_REVOKED:
+            raise WasRevokedError(words, hint=_READMISSION)
+        raise VerificationError(words)
 
 
 class _Https(HTTPConnection):

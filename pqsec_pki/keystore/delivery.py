@@ -148,7 +148,7 @@ class ListDelivery:
         count = Counter(each.way for each in self.late)
         first, last = self.commands[0], self.commands[-1]
         if count[Way.FETCH]:
-            words = "enrolled over a network: `pqsec renew --from` fetches it there"
+            words = "enrolled over a network: `pqsec renew --from` fetches it there, or a bundle"
             yield f"{count[Way.FETCH]} {words}"
         if count[Way.BUNDLE] or count[Way.FETCH]:
             yield (
@@ -161,8 +161,8 @@ class ListDelivery:
                 f" copy (ROS 2 too): {last}"
             )
         yield (
-            "stacks read crl.pem when a participant starts: restart it; a configuration for Cyclone"
-            " DDS or Fast DDS that does not name crl.pem is exported again; OpenDDS reads no list"
+            "stacks read crl.pem when a participant starts: restart it; if a configuration for"
+            " Cyclone DDS or Fast DDS does not name crl.pem, export it again; OpenDDS reads no list"
         )
 
     @property

@@ -27,6 +27,7 @@ from pqsec_pki.errors import (
     FileError,
     InterruptedChangeError,
     KeystoreError,
+    MissingError,
     located,
 )
 from pqsec_pki.keystore import _journal, _settings, _shared, layout
@@ -450,12 +451,26 @@ class Keystore:
 
     def _read_ledger(self) -> Ledger:
         with (
+            _told_of_private(),
             disk_errors(self.root / layout.PRIVATE),
             Folder.opened(self.root) as root,
             root.below(layout.PRIVATE) as private,
             _shared.reading(self.root, root) as database,
         ):
             return Ledger(database or FileStore(private))
+
+
+@contextmanager
+def _told_of_private() -> Iterator[None]:
+    """Adds to a MissingError how to get the folder of the CA keys and the ledger."""
+    try:
+        yield
+    except MissingError as error:
+        error.hint = error.hint or (
+            "private/ has the ledger and the CA keys, and git leaves it out: restore it from a"
+            " backup, or use the keystore itself instead of this copy"
+        )
+        raise
 
 
 def _not_a_keystore(root: Path) -> KeystoreError:

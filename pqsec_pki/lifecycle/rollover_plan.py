@@ -16,7 +16,16 @@ from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import BACKDATE, Certificate
 from pqsec_pki.documents import Permissions
 from pqsec_pki.errors import KeystoreError, UsageError, located
-from pqsec_pki.keystore import WAIT, Keystore, Overlap, Phase, key_hashes, layout, refuse_overlap
+from pqsec_pki.keystore import (
+    WAIT,
+    Keystore,
+    Overlap,
+    Phase,
+    State,
+    key_hashes,
+    layout,
+    refuse_overlap,
+)
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle.renewing import keys_fit
 from pqsec_pki.lifecycle.rollover import OverlapStep, Rollover, RolloverPlan, Scope
@@ -113,7 +122,7 @@ def _with_participants(plan: RolloverPlan, keystore: Keystore, now: datetime) ->
     with keystore.open_ledger() as ledger:
         inspector = Inspector.of(keystore, ledger, now=now)
     names = keystore.names()
-    revoked = dict.fromkeys(inspector.revoked_of(names), "revoked")
+    revoked = dict.fromkeys(inspector.revoked_of(names), str(State.REVOKED))
     others = [name for name in names if name not in revoked]
     found = _Decider(inspector, plan.terms, now).all(others)
     path = keystore.root / layout.ENCLAVES / layout.GOVERNANCE

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, resolved
-from pqsec_pki.errors import PqsecError, UsageError, shown
+from pqsec_pki.errors import MissingError, PqsecError, UsageError, shown
 from pqsec_pki.vendors._symbols import Symbols, read_symbols
 from pqsec_pki.vendors.cyclone_plugins import in_words
 from pqsec_pki.vendors.elf import Library, read_library, release_in, runs_here
@@ -109,13 +109,17 @@ def examine(path: Path, root: Path = MACHINE, include: Iterable[Path] = ()) -> F
     """The Fast DDS at `path`, below `root`; folders in `include` are searched for headers first.
 
     AdapterError with the reason if pqsec's plugin cannot run in it, or headers are not there;
-    FileError and MalformedError if it cannot be read, or is not a library.
+    FileError and MalformedError if it cannot be read, or is not a library. MissingError for a
+    folder of `include` that is not there.
     """
+    named = tuple(each.absolute() for each in include)
+    for each in named:
+        if not each.is_dir():
+            raise MissingError(f"{each}: no such folder")
     library, generation, symbols = _recognised(path)
     _refuse_bound(path, generation, symbols)
     tables = tuple(symbols.tables.get(table_of(generation, name), ()) for name in PLUGINS)
     derived = _derived(path, generation, symbols)
-    named = tuple(each.absolute() for each in include)
     places = Places((path.absolute(), library.path), root, named)
     headers = _headers(places, FAST_DDS[generation], library.release, PACKAGES[generation])
     cdr, folder = _fast_cdr(places, library)

@@ -125,3 +125,10 @@ def test_the_session_of_the_readme_leaves_nothing_to_commit_in_the_checkout(tmp_
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("secret of a token")
     assert added() == [".gitignore"]
+
+
+def test_a_clone_of_a_keystore_says_what_it_lacks(pqsec, tmp_path):
+    pqsec("-k k ca init --no-passphrase --profile classical").done()
+    shutil.rmtree(tmp_path / "k/private")  # which git leaves out
+    for line in ("status", "issue /a --publish rt/a", "log"):
+        pqsec(f"-k k {line}").refused(3, "k/private: no such file", hint="restore it from a backup")

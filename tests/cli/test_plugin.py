@@ -84,7 +84,7 @@ def test_what_is_installed_is_listed_and_uninstalled_without_a_trace(
         ("fastdds", False),
     ]
     pqsec(f"plugin uninstall --dir {folder}").refused(
-        2, "8 files would be removed", hint="--yes", shows="libpqsec_dds.so"
+        2, "8 files would be removed", hint=f"status --dir {folder}`", shows="libpqsec_dds.so"
     )
     removed = pqsec(f"plugin uninstall --yes --dir {folder} --json").done().json["removed"]
     assert len(removed) == 8
@@ -139,11 +139,13 @@ def test_a_library_that_is_not_fast_dds_is_refused_with_the_reason(pqsec, librar
 def test_headers_that_are_named_must_have_the_librarys_version(pqsec, requires, tmp_path):
     found = next(Path("/usr/lib").glob("*-linux-gnu*/libfastrtps.so"), None)
     requires(found, "Fast DDS 2", "apt-get install libfastrtps-dev")
+    (tmp_path / "one").mkdir()
     (tmp_path / "two/fastrtps").mkdir(parents=True)
     (tmp_path / "two/fastrtps/config.h").write_text('#define FASTRTPS_VERSION_STR "2.99.1"\n')
     line = f"plugin install fastdds --library {found} --include one --include two --dir lib"
     refused = pqsec(line).refused(3, "headers of Fast DDS, and only headers of 2.99.1 are there")
     assert "that has fastrtps/config.h: --include DIR" in refused.err
+    pqsec(line.replace("one", "onw")).refused(3, "onw: no such folder")
     assert not (tmp_path / "lib").exists()
 
 

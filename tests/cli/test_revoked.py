@@ -166,7 +166,7 @@ def test_a_robot_that_still_runs_the_earlier_certificate_is_told(pqsec, fleet):
     pqsec("-k k receipt import robot/installed.receipt").done()
     pqsec("-k k renew /r1").done()
     said = pqsec("-k k revoke /r1 --superseded --yes").done().err
-    assert "/r1 by the newest receipt still run an earlier certificate" in said
+    assert "by its newest receipt, each of these still runs an earlier certificate: /r1;" in said
 
 
 # permit --remove

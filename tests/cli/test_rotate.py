@@ -81,6 +81,8 @@ def test_a_domain_goes_from_classical_by_transition_to_pq(pqsec, k):
 
 def test_who_stays_behind_is_told(pqsec, k):
     pqsec("-k k revoke /talker --yes")
+    plan = pqsec("-k k ca rotate").done().out
+    assert "reissue the participants" not in plan  # nobody should, if it was stolen
     done = pqsec("-k k ca rotate --apply --yes --no-passphrase --json").done()
     assert "note: /talker is not reissued: revoked" in done.err
     assert done.json["left_out"] == {"/talker": "revoked"}
@@ -90,7 +92,8 @@ def test_who_stays_behind_is_told(pqsec, k):
 
 def test_who_stays_behind_for_its_key_is_not_in_the_way_of_others(pqsec, k):
     (k / "enclaves/talker/key.pem").unlink()
-    pqsec("-k k ca rotate --apply --yes --no-passphrase --profile pq").done()
+    done = pqsec("-k k ca rotate --apply --yes --no-passphrase --profile pq").done()
+    assert "next: reissue the participants that were left out: /talker" in done.out
     assert "1 previous-ca, 1 valid" in pqsec("-k k status").done().out
     renewed = pqsec("-k k renew --all --json").done().json["issued"]
     assert [each["name"] for each in renewed] == ["/listener"]
@@ -268,7 +271,7 @@ def test_a_keystore_of_sros2_is_adopted_and_led_out_of_its_hole(pqsec, tmp_path)
     assert first == "sros2: 2 participants, profile classical, domain 0"
     assert [line for line in findings if "CVE-2023-24010" in line]
     assert "files checked" in findings[-1]
-    assert "with `pqsec ca rotate`" in done.err
+    assert "`pqsec -k sros2 ca rotate` shows how to get two CAs" in done.err
     assert "/talker" in pqsec("-k sros2 status").done().out
     pqsec("-k sros2 issue /new").refused(3, "CVE-2023-24010", hint="pqsec ca rotate")
     assert "one key is both CAs" in pqsec("-k sros2 ca rotate").done().out

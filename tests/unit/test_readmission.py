@@ -141,6 +141,9 @@ def test_a_stolen_robot_comes_back_over_the_network(tmp_path):
         server.cli(*enrol, "first.token")
         server.cli(*create, "--replace", "-o", "thief.token")
         server.cli("revoke", name, "--reason", "keyCompromise", "--yes")
+        forgot = server.cli(*enrol, "thief.token", check=False)  # without --force
+        assert (forgot.returncode, forgot.stdout) == (1, "")
+        assert "was revoked\npqsec: hint: if it came back, `pqsec enrol" in forgot.stderr
         refused = server.cli(*create, "--replace", "-o", "back.token", check=False)
         assert (refused.returncode, "--replace --after-revocation" in refused.stderr) == (3, True)
         assert not (folder / "back.token").exists()
