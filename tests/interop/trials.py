@@ -22,7 +22,7 @@ from pqsec_pki.algorithms import load_private_key, private_key_pem
 from pqsec_pki.certificates import Certificate, RevokedCertificate, revocation_list
 from pqsec_pki.documents import Governance, Preset, ProtectionKind, preset_named
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.lifecycle import ParticipantSpec, issue, sign_governance
 from pqsec_pki.trial import (
     Act,
     Installation,
@@ -132,9 +132,12 @@ def alter_the_permissions(lab: Lab, root: Path, now: datetime, who: str = SENDER
 
 def _governance(lab: Lab, now: datetime, preset: Preset, **topics: object) -> bytes:
     """Signed: the preset's, with other words for its topics."""
+    return lab.authorities.sign(_rules(preset, **topics).to_xml(), now=now)
+
+
+def _rules(preset: Preset, **topics: object) -> Governance:
     every = replace(preset.topic_rule, **topics)
-    rule = replace(preset.rule, domains=DOMAINS, topic_rules=(every,))
-    return lab.authorities.sign(Governance(domain_rules=(rule,)).to_xml(), now=now)
+    return Governance(domain_rules=(replace(preset.rule, domains=DOMAINS, topic_rules=(every,)),))
 
 
 UNCONTROLLED = dict.fromkeys(["enable_read_access_control", "enable_write_access_control"], False)
@@ -145,8 +148,8 @@ UNPROTECTED = dict.fromkeys(
 
 def let_strangers_in(lab: Lab, root: Path, now: datetime) -> None:
     """All may take part, and nothing is protected."""
-    open_to_all = _governance(lab, now, preset_named("migration"), **UNCONTROLLED, **UNPROTECTED)
-    (root / "enclaves" / "governance.p7s").write_bytes(open_to_all)
+    open_to_all = _rules(preset_named("migration"), **UNCONTROLLED, **UNPROTECTED)
+    sign_governance(Keystore.open(root), lab.authorities, open_to_all, now=now)
 
 
 def keep_a_laxer_governance(lab: Lab, root: Path, now: datetime) -> None:
