@@ -136,7 +136,7 @@ def test_metrics_are_in_the_text_format_and_replaced_as_a_whole(pqsec, k, tmp_pa
         "pqsec_superseded_certificates",
     }
     typed = [line.split()[2] for line in lines if line.startswith("# TYPE")]
-    assert len(typed) == len(set(typed)) == 6
+    assert len(typed) == len(set(typed)) == 7
     place = f'keystore="{tmp_path}/k"'
     kind = 'profile="classical",domains="0"'
 

@@ -45,16 +45,16 @@ def with_topics(lab, number):
     ("profile", "topics", "targets", "rules"),
     [
         ("classical", 0, [Stack.FASTDDS], set()),
-        ("classical", 80, [], set()),
-        ("classical", 80, [Stack.CYCLONEDDS], set()),
-        ("classical", 80, [Stack.FASTDDS], {"PQS501"}),
+        ("classical", 120, [], set()),
+        ("classical", 120, [Stack.CYCLONEDDS], set()),
+        ("classical", 120, [Stack.FASTDDS], {"PQS501"}),
         ("transition", 0, [Stack.FASTDDS], {"PQS501"}),
         ("transition", 0, [Stack.OPENDDS], set()),
-        ("classical", 900, [], {"PQS503"}),
+        ("classical", 1200, [], {"PQS503"}),
         ("classical", 1500, [], {"PQS502", "PQS503"}),
         ("classical", 1500, [Stack.CYCLONEDDS], {"PQS503"}),
         ("cnsa2", 0, [], set()),
-        ("classical", 5000, [], {"PQS502", "PQS503", "PQS504"}),
+        ("classical", 6000, [], {"PQS502", "PQS503", "PQS504"}),
     ],
 )
 def test_sizes(tmp_path, profile, topics, targets, rules):
