@@ -34,7 +34,7 @@ def test_the_same_seed_gives_the_same_json(pqsec):
 def test_a_keystore_has_the_sizes_of_its_own_documents(pqsec, tmp_path):
     store = tmp_path / "k"
     pqsec(f"ca init -k {store} --no-passphrase --profile classical").done()
-    many = " ".join(f"--publish rt/topic{each}" for each in range(100))
+    many = " ".join(f"--publish rt/topic{each}" for each in range(200))
     pqsec(f"issue -k {store} --publish a /one /two").done()
     small = pqsec(f"estimate -k {store} --json").done().json
     pqsec(f"issue -k {store} {many} /three").done()

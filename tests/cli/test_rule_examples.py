@@ -64,7 +64,7 @@ AND_ALSO = {
     "PQS327": {"PQS322", "PQS326"},
     "PQS341": {"PQS344"},
     "PQS502": {"PQS345", "PQS503"},
-    "PQS503": {"PQS345", "PQS502"},
+    "PQS503": {"PQS345"},
     "PQS504": {"PQS345", "PQS502", "PQS503"},
     "PQS601": {"PQS602"},
     "PQS602": {"PQS601"},

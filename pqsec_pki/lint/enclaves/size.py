@@ -116,7 +116,7 @@ def over_datagram(inventory: Inventory) -> Iterator[Violation]:
     " and sent again a second later. With 40 fragments and 1 % loss, every third message is lost.",
     fix=f"{_SMALLER}, or raise General/FragmentSize and MaxMessageSize in Cyclone DDS.",
     measured="fragments counted at Cyclone DDS's default of 1344 bytes",
-    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..1000})",
+    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..1100})",
     good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def many_fragments(inventory: Inventory) -> Iterator[Violation]:
@@ -131,7 +131,7 @@ def many_fragments(inventory: Inventory) -> Iterator[Violation]:
     " differ: Cyclone DDS and Fast DDS (3.6.2) accepted 512 KB.",
     measured="the limit is pqsec's own",
     fix=f"{_SMALLER}.",
-    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..6000})",
+    bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..8000})",
     good="$ pqsec -k k issue --force /talker --publish 'rt/robot/sensor*'",
 )  # fmt: skip
 def over_own_limit(inventory: Inventory) -> Iterator[Violation]:

@@ -45,7 +45,7 @@ _REPORTED_BY: Mapping[Code, Iterable[str]] = {
     Code.CRITICAL_EXTENSION: ("PQS126",),
     Code.EXPIRED: ("PQS110",),
     Code.NOT_YET_VALID: ("PQS112",),
-    Code.WRONG_ISSUER: ("PQS306", "PQS316", *_LIST),
+    Code.WRONG_ISSUER: ("PQS306", "PQS313", "PQS316", *_LIST),
     Code.BAD_SIGNATURE: ("PQS306",),
     Code.ALTERNATIVE_MISSING: ("PQS604",),
     Code.ALTERNATIVE_BAD: ("PQS603",),
