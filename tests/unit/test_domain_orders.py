@@ -126,7 +126,7 @@ def test_a_ledger_that_was_rolled_back_enrols_nobody(line):
     before = ledger.read_bytes()
     end_registrations(line.keystore, line.cas, ["line1"], now=NOW)
     ledger.write_bytes(before)
-    with pytest.raises(KeystoreError, match="the ledger lacks lines.*it was rolled back"):
+    with pytest.raises(KeystoreError, match=r"lacks lines: .* it was rolled back"):
         line.plan()
     assert not (line.root / "enclaves/fleet").exists()
 

@@ -8,6 +8,7 @@ import base64
 import re
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import timedelta
 
@@ -564,24 +565,23 @@ def test_every_reader_gives_the_verdict_of_the_table(lab, tmp_path, name):
 
 def test_a_bundle_has_what_the_ledger_has_or_is_refused(lab, tmp_path):
     """Other files in its folder do not get into it: neither wrong ones, nor good ones."""
-    made = set()
-    for number, (what, (change, code, after)) in enumerate(ROWS.items()):
+    made = {}
+    for number, (what, (change, _, after)) in enumerate(ROWS.items()):
         files = {
             file: data for file, data in {**lab.files, **change(lab)}.items() if data is not None
         }
         folder = tmp_path / str(number)
         folder.mkdir()
         keystore = placed(lab, files, folder)
-        try:
-            bundle = Bundle.of(keystore, [NAME], now=NOW + after)
-        except PqsecError as error:
-            assert code or error.codes <= {Code.OTHER, Code.CONTENT_CHANGED}, what
-        else:
-            assert bundle.enclaves[NAME] == lab.files, what
-            assert not after, what
-            made.add(what)
+        with suppress(PqsecError):
+            made[what] = Bundle.of(keystore, [NAME], now=NOW + after).enclaves[NAME]
         shutil.rmtree(folder)
-    assert {"as it was issued", "with a list that names it", "without the countersigner"} <= made
+    assert [what for what, files in made.items() if files != lab.files or ROWS[what][2]] == []
+    assert {
+        "as it was issued",
+        "with a list that names it",
+        "without the countersigner",
+    } <= made.keys()
 
 
 def test_the_table_has_every_code_of_an_enclave():
