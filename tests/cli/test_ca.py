@@ -158,7 +158,7 @@ def test_a_passphrase_and_none_exclude_each_other(pqsec, tmp_path):
     assert not (tmp_path / "k").exists()
 
 
-@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o666])
+@pytest.mark.parametrize("mode", [0o640, 0o604, 0o620, 0o644])
 def test_a_passphrase_file_that_others_can_open_is_noted_and_used(pqsec, locked, tmp_path, mode):
     (tmp_path / "right").chmod(mode)
     said = pqsec("-k k issue /a --publish x --passphrase-file right").done()

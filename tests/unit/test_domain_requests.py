@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from pqsec_pki._files import MAX_FILE
 from pqsec_pki.algorithms import PROFILES, profile_named
 from pqsec_pki.certificates import Certificate, CertificateRequest, Reason, certificate_request
 from pqsec_pki.domain import Plan, StepAction, create_keystore, deliver_request, read_domain
@@ -127,7 +128,7 @@ def test_who_has_not_asked_yet_waits_and_keeps_nobody_else_from_it(tmp_path):
         (lambda fleet: (fleet.inbox / "r2.csr").mkdir(), "there is no file"),
         (lambda fleet: os.mkfifo(fleet.inbox / "r2.csr"), "there is no file"),
         (lambda fleet: (fleet.inbox / "r2.csr").symlink_to("/dev/zero"), "there is no file"),
-        (lambda fleet: (fleet.inbox / "r2.csr").write_bytes(bytes(2 << 20)), "larger than"),
+        (lambda fleet: (fleet.inbox / "r2.csr").write_bytes(bytes(MAX_FILE + 1)), "larger than"),
         (
             lambda fleet: tampered(fleet.inbox / "r2.csr"),
             "no proof that the requester has the",

@@ -8,6 +8,7 @@ import base64
 import re
 import shutil
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import timedelta
 
@@ -461,11 +462,6 @@ def installing(files, keystore, now):
 
 
 @reader
-def bundling(_, keystore, now):
-    return codes_of(lambda: Bundle.of(keystore, [NAME], now=now))
-
-
-@reader
 def the_self_check(_, keystore, now):
     setup = HandshakeSetup(keystore=keystore, domain=0, now=now)
     found = set()
@@ -539,6 +535,10 @@ OTHERWISE = {
     ("the questions", "without the countersigner and its signatures"): Code.SIGNATURE_MISSING,
     # A clock from before the CAs is wrong, as on a robot without a battery.
     ("installing", "when its certificate is not valid yet"): None,
+    # It is good, but not what the ledger has: another file than it has does not leave the keystore.
+    ("exporting", "with lines that end in cr lf"): Code.OTHER,
+    ("exporting", "with lines that end in cr cr lf"): Code.CONTENT_CHANGED,
+    ("exporting", "in an overlap of two identity cas"): Code.OTHER,
 }
 """Where a reader refuses for another reason, and why."""
 
@@ -561,6 +561,27 @@ def test_every_reader_gives_the_verdict_of_the_table(lab, tmp_path, name):
             wrong.append(f"{what}: {told}, and not {code or 'that it is good'}")
         shutil.rmtree(folder)
     assert not wrong, "\n".join(wrong)
+
+
+def test_a_bundle_has_what_the_ledger_has_or_is_refused(lab, tmp_path):
+    """Other files in its folder do not get into it: neither wrong ones, nor good ones."""
+    made = {}
+    for number, (what, (change, _, after)) in enumerate(ROWS.items()):
+        files = {
+            file: data for file, data in {**lab.files, **change(lab)}.items() if data is not None
+        }
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        keystore = placed(lab, files, folder)
+        with suppress(PqsecError):
+            made[what] = Bundle.of(keystore, [NAME], now=NOW + after).enclaves[NAME]
+        shutil.rmtree(folder)
+    assert [what for what, files in made.items() if files != lab.files or ROWS[what][2]] == []
+    assert {
+        "as it was issued",
+        "with a list that names it",
+        "without the countersigner",
+    } <= made.keys()
 
 
 def test_the_table_has_every_code_of_an_enclave():

@@ -221,10 +221,10 @@ def children(process):
 
 
 def wait_until(is_so):
-    patience = time.monotonic() + 120
-    while not is_so():
-        assert time.monotonic() < patience
+    end = time.monotonic() + 120
+    while not is_so() and time.monotonic() < end:
         time.sleep(0.01)
+    assert is_so()
 
 
 def is_free(keystore):

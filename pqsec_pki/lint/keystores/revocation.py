@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from pqsec_pki._times import said
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import ListDelivery, layout, list_delivery, superseded_certificates
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
@@ -69,7 +70,7 @@ def superseded_and_valid(inventory: Inventory) -> Iterator[Violation]:
         for name, entries in superseded_certificates(keystore, now=inventory.now).items():
             last = max(each.ends for each in entries)
             count = f"{len(entries)} certificate{'s' if len(entries) > 1 else ''}"
-            words = f"{count} before the current one of {name} can be used until {last:%Y-%m-%d}"
+            words = f"{count} before the current one of {name} can be used until {said(last)}"
             yield Violation(words, path=keystore.root / layout.enclave_folder(name))
 
 
