@@ -279,6 +279,8 @@ def test_the_examples_of_a_command_work(run_in, made, tmp_path, path):
         for before in FIRST.get(line, FIRST.get(path, ())):
             run_in(folder, before, **KEYSTORE).done()
         code, err = run_example(run_in, folder, line)
+        if "Cyclone DDS is not installed" in err:
+            pytest.skip("Cyclone DDS is not on this machine: apt-get install cyclonedds-dev g++")
         if code > (path in MAY_BE_NO) or "error:" in err:
             faults.append(f"{line}: {code}, {err}")
     assert faults == []

@@ -31,6 +31,9 @@ JUSTIFIED = {
     " token for it at the server, and `pqsec enrol --force` with that a new key here": IF_WANTED,
     "on the robot: `pqsec enrol --force` makes a new key for *": IF_WANTED,
     "`pqsec propose issue --csr FILE --force --after-revocation` proposes it": IF_WANTED,
+    "Restore the newest one from a backup, or make the next: `pqsec ca crl`, `pqsec apply` or"
+    " `pqsec sign-governance`, `pqsec issue NAME --force`. If another machine uses this ledger,"
+    " `pqsec ca recover` gets it.": "what is there is older than what was issued",
     "* bundle *--outdated --no-keys --bundles bundles --force": NEWEST,
     "* ca crl --show --force -o crl.pem": NEWEST,
     "Delete its enclave. To allow it again, run `pqsec issue` with --force"

@@ -622,7 +622,7 @@ def test_a_revoked_certificate_and_a_list_that_is_no_good_are_refused(keystores,
         in problems(with_files(good, crl_pem=revoked_list(ours, serial)), good.roles)[0]
     )
     assert (
-        "not signed by this CA"
+        "names another key or certificate of the CA"
         in problems(with_files(good, crl_pem=revoked_list(theirs, 1)), good.roles)[0]
     )
     assert "revocation list" in problems(with_list, good.roles, NOW + 11 * DAY)[0]

@@ -21,7 +21,14 @@ from pqsec_pki.plugin.calls import CALLS, VERSION
 from pqsec_pki.stacks import stack_named
 from pqsec_pki.vendors import Options, export
 from pqsec_pki.vendors._symbols import read_symbols
-from pqsec_pki.vendors.fastdds_adapter import ADAPTER, FASTDDS_SOURCES, RECORD, here, installed
+from pqsec_pki.vendors.fastdds_adapter import (
+    ADAPTER,
+    FASTDDS_SOURCES,
+    RECORD,
+    _run,
+    here,
+    installed,
+)
 from pqsec_pki.vendors.fastdds_library import AdapterError, examine, find_fastdds, table_of
 from pqsec_pki.vendors.own_plugin import PRELOAD
 from pqsec_pki.vendors.ros2 import preflight
@@ -402,7 +409,7 @@ def test_a_command_that_cannot_be_run_is_named(tmp_path):
     """As the probe in a folder that is mounted with noexec."""
     (tmp_path / "probe").touch()
     with pytest.raises(CompileError, match=r"^\./probe cannot be run: .*[Pp]ermission") as refusal:
-        here().run(["./probe"], tmp_path)
+        _run(["./probe"], tmp_path)
     assert refusal.value.output is None
 
 

@@ -12,14 +12,16 @@ import sys
 import threading
 import time
 from contextlib import ExitStack, suppress
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes
+from cryptography.hazmat.primitives.serialization import Encoding
+from cryptography.x509.oid import NameOID
 from OpenSSL import SSL
 
-from pqsec_pki.algorithms import pem
-from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import FileError
 from pqsec_pki.est import TlsIdentity
 from pqsec_pki.server import read_settings
@@ -28,10 +30,12 @@ from pqsec_pki.server.limiting import Connections
 from pqsec_pki.server.running import notify
 from pqsec_pki.server.signer import listening
 from pqsec_pki.server.state_folder import make_state
+from tests.some_keys import some_key
 from tests.unit.serving import HOST, PATIENCE, Robot, Server, received, reply_in
 from tests.unit.tls_sides import certificate
 
 ENEMY = "127.0.0.66"
+TLS_FEATURE = x509.ObjectIdentifier("1.3.6.1.5.5.7.1.24")
 LIMITS = {
     "seconds": 2,
     "body": 20_000,
@@ -139,13 +143,24 @@ def test_a_header_that_is_not_utf8_is_answered(server, name, status):
 
 
 def test_a_client_certificate_that_only_openssl_reads_is_refused_in_words(server):
-    chain, key = certificate("ecdsa-p256", since=datetime.now(UTC))
-    der = bytearray(Certificate.from_pem(chain).der)
-    der[der.index(b"\xa0\x03\x02\x01\x02\x02") + 7] |= 0x80  # its serial number, now negative
-    shown = TlsIdentity.of(pem("CERTIFICATE", bytes(der)), key)
+    _, key = certificate("ecdsa-p256", since=datetime.now(UTC))
+    feature = x509.UnrecognizedExtension(TLS_FEATURE, bytes.fromhex("3003020104"))  # an unknown one
+    shown = TlsIdentity.of(certificate_with(feature), key)
     reply = server.send("GET", "/pqsec/v1/bundle", identity=shown)
-    assert (reply.status, "serial number is not positive" in reply.detail) == (400, True)
+    assert (reply.status, "not a certificate" in reply.detail) == (400, True), reply
     assert "internal error" not in server.log
+
+
+def certificate_with(extension):
+    """A certificate in PEM of the key of `certificate`, by itself, with that extension."""
+    key, now = some_key("ecdsa-p256", "server").handle, datetime.now(UTC)
+    name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, "server")])
+    made = (
+        x509.CertificateBuilder(name, name, key.public_key(), 5, now, now + timedelta(9))
+        .add_extension(extension, critical=False)
+        .sign(key, hashes.SHA256())
+    )
+    return made.public_bytes(Encoding.PEM)
 
 
 def test_the_front_runs_no_code_of_the_folder_where_the_server_is_started(tmp_path):

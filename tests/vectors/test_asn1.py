@@ -16,6 +16,7 @@ from pqsec_pki import _asn1
 from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
     Attribute,
+    AttributeTypeAndValue,
     BitString,
     CertificationRequestInfo,
     CMSAlgorithmProtection,
@@ -26,6 +27,7 @@ from pqsec_pki._asn1 import (
     Extension,
     IssuerAndSerialNumber,
     KeyReference,
+    NameHolder,
     Oid,
     OneAsymmetricKey,
     PBES2Params,
@@ -194,6 +196,9 @@ VALUES = {
         description=raw(b"\x1a\x19PKCS#11 Provider URI v1.0"), uri="pkcs11:token=t;object=o"
     ),
     "SeedAndExpandedKey": SeedAndExpandedKey(seed=bytes(32), expanded_key=b"expanded"),
+    "NameHolder": NameHolder(
+        name=[SetOf([AttributeTypeAndValue(type=Oid("2.5.4.3"), value=raw(b"\x0c\x01x"))])]
+    ),
     "PBKDF2Params": DERIVATION,
     "PBES2Params": ENCRYPTION,
     "EncryptedPrivateKeyInfo": EncryptedPrivateKeyInfo(

@@ -1,0 +1,36 @@
+"""Certificates and lists that lack parts are malformed, whoever reads them first."""
+
+from datetime import UTC, datetime, timedelta
+
+import pytest
+
+from pqsec_pki._der import elements, sequence_of
+from pqsec_pki.algorithms import SIGNATURES
+from pqsec_pki.certificates import Authority, Certificate, RevocationList, revocation_list
+from pqsec_pki.errors import MalformedError
+
+NOW = datetime(2026, 11, 28, tzinfo=UTC)
+CA = Authority.create("Lab", SIGNATURES.named("ecdsa-p256"), now=NOW, validity=timedelta(9))
+LIST = revocation_list(CA, [], number=1, now=NOW, validity=timedelta(9))
+
+
+@pytest.mark.parametrize(
+    ("read", "der", "needed"),
+    [(Certificate.from_der, CA.certificate.der, 7), (RevocationList.from_der, LIST.der, 4)],
+    ids=["certificate", "list"],
+)
+def test_what_lacks_parts_is_malformed(read, der, needed):
+    tbs, *signed = elements(der, None, "DER")
+    values = elements(tbs, None, "DER")
+    for count in range(needed):
+        with pytest.raises(MalformedError):
+            read(sequence_of([sequence_of(values[:count]), *signed]))
+
+
+def test_an_extension_without_a_value_is_malformed():
+    tbs, *signed = elements(LIST.der, None, "DER")
+    *values, extensions = elements(tbs, None, "DER")
+    for parts in ([], [bytes.fromhex("0603551d1c")]):
+        listed = sequence_of([sequence_of([sequence_of(parts)])], extensions[0])
+        with pytest.raises(MalformedError):
+            RevocationList.from_der(sequence_of([sequence_of([*values, listed]), *signed]))
