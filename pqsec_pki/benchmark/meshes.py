@@ -193,7 +193,7 @@ def _keystore(root: Path, profile: str, hosts: int, now: datetime) -> Keystore:
 def _set_version(store: Keystore, version: WireVersion) -> None:
     """Let all hosts use that version of messages, and refuse any other."""
     for name in store.names():
-        path = store.root / ENCLAVES / name.removeprefix("/") / SETTINGS
+        path = store.folder / ENCLAVES / name.removeprefix("/") / SETTINGS
         path.write_text(f"wire_versions = [{version}]\n")
 
 

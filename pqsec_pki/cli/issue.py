@@ -290,7 +290,7 @@ def note_unsigned_governance(keystore: Keystore) -> None:
 
 
 def _governance(keystore: Keystore) -> Path:
-    return keystore.root / ENCLAVES / GOVERNANCE
+    return keystore.folder / ENCLAVES / GOVERNANCE
 
 
 def _read_governance(keystore: Keystore) -> Governance:

@@ -67,7 +67,7 @@ def other_keystore_source(root: Path, now: datetime) -> ImportSource:
 
 def _with_shared(keystore: Keystore, anchors: TrustAnchors) -> ImportSource:
     """The governance, profile and name of CAs. VerificationError for a bad signature."""
-    with located(keystore.root / layout.ENCLAVES / layout.GOVERNANCE):
+    with located(keystore.folder / layout.ENCLAVES / layout.GOVERNANCE):
         signed = anchors.signed(keystore.governance)
         governance = Governance.from_xml(signed.document)
     ca = common_name_in(keystore.identity_ca.subject_name)
@@ -107,7 +107,7 @@ def _add_signed(  # noqa: PLR0913 -- the last by name
     key_elsewhere: bool = False,
 ) -> None:
     """Add a participant by its certificate and its permissions, with their signatures verified."""
-    folder = keystore.root / layout.enclave_folder(name)
+    folder = keystore.folder / layout.enclave_folder(name)
     try:
         certificate = load_certificate(folder / layout.CERTIFICATE)
         with located(folder / layout.PERMISSIONS):

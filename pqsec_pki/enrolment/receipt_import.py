@@ -168,7 +168,7 @@ class _Records:
         return cls(
             issued=ledger.issued(),
             revoked=frozenset(ledger.numbers("revocation")),
-            compromised=frozenset(compromised_keys_in(keystore.root, ledger)),
+            compromised=frozenset(compromised_keys_in(keystore.folder, ledger)),
             recorded=set(ledger.numbers(RECEIPT)),
             orders=orders,
         )

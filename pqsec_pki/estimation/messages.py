@@ -45,7 +45,7 @@ def sizes_in(
     file cannot be read, MalformedError if the second version cannot carry a document.
     """
     for name in keystore.names():
-        files = enclave_files(keystore.root, name)
+        files = enclave_files(keystore.folder, name)
         certificate, permissions = files[CERTIFICATE], files[PERMISSIONS]
         if version is WireVersion.SECOND:
             yield _second(keystore.profile, check_carried(certificate, permissions))

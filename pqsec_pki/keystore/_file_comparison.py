@@ -25,7 +25,7 @@ _MAX_SEEN = 64 << 20
 
 def presence(keystore: Keystore) -> Compare:
     """Tells only which participants' certificates are gone."""
-    enclaves = f"{keystore.root}/{layout.ENCLAVES}"
+    enclaves = f"{keystore.folder}/{layout.ENCLAVES}"
     gone = Files.ELSEWHERE if keystore.ledger_address else Files.GONE
 
     def compare(name: str, _certificate: str, _permissions: str) -> Files:
@@ -53,13 +53,13 @@ class FileComparison:
         """A comparison that knows the files that were right before."""
         seen: object = {}
         with suppress(FileError, ValueError, RecursionError):
-            path = keystore.root / layout.PRIVATE / layout.SEEN
+            path = keystore.folder / layout.PRIVATE / layout.SEEN
             seen = json.loads(read(path, limit=_MAX_SEEN))
         older = None
         if keystore.ledger_address:
             with keystore.open_ledger() as ledger:
                 older = ledger.issued()
-        return cls(keystore.root, seen if isinstance(seen, dict) else {}, older)
+        return cls(keystore.folder, seen if isinstance(seen, dict) else {}, older)
 
     def compare(self, name: str, certificate: str, permissions: str) -> Files:
         """Compare `name`'s files with the SHA-256 of its certificate and permissions."""

@@ -76,7 +76,7 @@ def files_elsewhere(keystore: "Keystore", ledger: Ledger, names: Iterable[str]) 
     if keystore.ledger_address is None:
         return []
     own = (each for name in names for each in newest_of(ledger, name) if not each.stays)
-    return _newer(keystore.root, ledger, [*newest_of_all(ledger), *own])
+    return _newer(keystore.folder, ledger, [*newest_of_all(ledger), *own])
 
 
 def shared_elsewhere(root: Path, ledger: Ledger) -> list[LedgerFile]:

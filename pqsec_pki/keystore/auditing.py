@@ -170,14 +170,14 @@ def _is_trusted(
 
 def _issued(keystore: Keystore) -> Iterator[tuple[Path, str, str]]:
     """The path of each file, the kind of its line, and the participant's name, if it has one."""
-    public, enclaves = keystore.root / layout.PUBLIC, keystore.root / layout.ENCLAVES
+    public, enclaves = keystore.folder / layout.PUBLIC, keystore.folder / layout.ENCLAVES
     yield public / layout.IDENTITY_CA, "identity-ca", ""
     yield public / layout.PERMISSIONS_CA, "permissions-ca", ""
     yield public / layout.PERMISSIONS_ALT_CA, "permissions-ca", ""
     yield public / layout.CA_LIST, "crl", ""
     yield enclaves / layout.GOVERNANCE, "governance", ""
     for name in keystore.names():
-        folder = keystore.root / layout.enclave_folder(name)
+        folder = keystore.folder / layout.enclave_folder(name)
         yield folder / layout.CERTIFICATE, "participant", name
         yield folder / layout.PERMISSIONS, "permissions", name
 

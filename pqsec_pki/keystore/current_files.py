@@ -82,7 +82,7 @@ class CurrentFiles:
     def anchors(self) -> TrustAnchors:
         """The CAs that the participants trust, without a list; errors as of `shared`."""
         found = {each: data for each, data in self.shared.items() if each in _CAS}
-        return TrustAnchors.of(found, folder=str(self.keystore.root / layout.PUBLIC))
+        return TrustAnchors.of(found, folder=str(self.keystore.folder / layout.PUBLIC))
 
     @property
     def revocation_list(self) -> RevocationList | None:
@@ -106,25 +106,25 @@ class CurrentFiles:
 
         Errors as of `enclave_files` and `shared`.
         """
-        return self._chosen(name, enclave_files(self.keystore.root, name, self.linked))
+        return self._chosen(name, enclave_files(self.keystore.folder, name, self.linked))
 
     def refuse_others(self, name: str) -> None:
         """KeystoreError unless the files in the participant's folder are the current ones."""
-        here = enclave_files(self.keystore.root, name, self.linked)
-        folder = self.keystore.root / layout.enclave_folder(name)
+        here = enclave_files(self.keystore.folder, name, self.linked)
+        folder = self.keystore.folder / layout.enclave_folder(name)
         for file, data in self._chosen(name, here).items():
             self._refuse_other(folder / file, here.get(file), data)
 
     def refuse_others_of_all(self) -> None:
         """KeystoreError unless the files that enclaves link to are the current ones."""
         for file, data in self.shared.items():
-            path = self.keystore.root / _PLACES[file]
+            path = self.keystore.folder / _PLACES[file]
             self._refuse_other(path, read(path) if exists(path) else None, data)
 
     def newer_elsewhere(self) -> dict[Path, bytes]:
         """The content that files of all participants should have, by their paths, if they have
         another; errors as of `shared`."""
-        places = {self.keystore.root / _PLACES[file]: data for file, data in self.shared.items()}
+        places = {self.keystore.folder / _PLACES[file]: data for file, data in self.shared.items()}
         return {
             path: data for path, data in places.items() if not exists(path) or read(path) != data
         }
@@ -145,7 +145,8 @@ class CurrentFiles:
     def _chosen(self, name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
         others = {file: data for file, data in files.items() if file not in {*_CAS, layout.LIST}}
         found = {**others, **self.shared}
-        if not (self.keystore.root / layout.enclave_folder(name) / layout.GOVERNANCE).is_symlink():
+        folder = self.keystore.folder / layout.enclave_folder(name)
+        if not (folder / layout.GOVERNANCE).is_symlink():
             found[layout.GOVERNANCE] = self._own_governance(name, files[layout.GOVERNANCE])
         for wanted in self._own(name):
             found[wanted.file] = self._content(wanted, files.get(wanted.file))
@@ -158,7 +159,7 @@ class CurrentFiles:
         wanted = newest_list(self.ledger)
         if wanted:
             yield layout.LIST, self._content(wanted)
-        elif exists(path := self.keystore.root / _LIST):
+        elif exists(path := self.keystore.folder / _LIST):
             raise KeystoreError(
                 f"{path} exists, but by the ledger its CA has no list now",
                 hint="remove it, or issue a list: `pqsec ca crl`",
@@ -167,7 +168,7 @@ class CurrentFiles:
     def _cas(self) -> Iterator[tuple[str, bytes]]:
         expected = expected_cas(self.ledger, self.keystore.profile)
         for file in _CAS:
-            path = self.keystore.root / layout.PUBLIC / file
+            path = self.keystore.folder / layout.PUBLIC / file
             data = read(path) if expected.get(file) or exists(path) else b""
             found = [each.fingerprint for each in certificates_in(data, str(path))] if data else []
             if found != expected.get(file, []):
@@ -204,7 +205,7 @@ class CurrentFiles:
             return data
         sha256 = digest_of(layout.GOVERNANCE, data)
         if not any(each.sha256 == sha256 for each in self.ledger.of_name("governance", name)[-1:]):
-            folder = self.keystore.root / layout.enclave_folder(name)
+            folder = self.keystore.folder / layout.enclave_folder(name)
             raise KeystoreError(
                 f"{folder / layout.GOVERNANCE} is not a governance that the ledger has for {name}",
                 hint="put a link to that of the keystore in its place",
@@ -216,7 +217,7 @@ class CurrentFiles:
 
         `here` is what the file has, if it was read before.
         """
-        path = self.keystore.root / wanted.folder / wanted.file
+        path = self.keystore.folder / wanted.folder / wanted.file
         if here is None and exists(path):
             here = read(path)
         if here is not None and self._is_current(wanted, here):

@@ -178,14 +178,19 @@ class Keystore:
             raise ExistsError(f"{root} already has {', '.join(taken)}", hint=hint)
 
     @property
+    def folder(self) -> Path:
+        """The folder with `public/`, `private/` and `enclaves/`."""
+        return self.root
+
+    @property
     def identity_ca(self) -> Certificate:
         """The identity CA's certificate."""
-        return load_first_certificate(self.root / layout.PUBLIC / layout.IDENTITY_CA)
+        return load_first_certificate(self.folder / layout.PUBLIC / layout.IDENTITY_CA)
 
     @property
     def permissions_ca_path(self) -> Path:
         """The path of the permissions CA's certificate."""
-        return self.root / layout.PUBLIC / layout.PERMISSIONS_CA
+        return self.folder / layout.PUBLIC / layout.PERMISSIONS_CA
 
     @property
     def permissions_ca(self) -> Certificate:
@@ -195,7 +200,7 @@ class Keystore:
     @property
     def countersigner(self) -> Certificate | None:
         """The certificate of the permissions CA's countersigner, if the profile has one."""
-        path = self.root / layout.PUBLIC / layout.PERMISSIONS_ALT_CA
+        path = self.folder / layout.PUBLIC / layout.PERMISSIONS_ALT_CA
         return load_first_certificate(path) if exists(path) else None
 
     @property
@@ -204,7 +209,7 @@ class Keystore:
 
         MalformedError for an invalid file of the CAs.
         """
-        public = self.root / layout.PUBLIC
+        public = self.folder / layout.PUBLIC
         there = [each for each in CA_FILES if each in NEEDED or exists(public / each)]
         anchors = TrustAnchors.of({each: read(public / each) for each in there}, folder=str(public))
         return replace(anchors, revocation_list=self.revocation_list)
@@ -221,7 +226,7 @@ class Keystore:
     @property
     def governance(self) -> bytes:
         """The signed governance document."""
-        return read(self.root / layout.ENCLAVES / layout.GOVERNANCE)
+        return read(self.folder / layout.ENCLAVES / layout.GOVERNANCE)
 
     @property
     def revocation_list(self) -> RevocationList | None:
@@ -236,7 +241,7 @@ class Keystore:
     @property
     def revocation_list_path(self) -> Path:
         """The path of the revocation list; each enclave links to it as crl.pem."""
-        return self.root / layout.PUBLIC / layout.CA_LIST
+        return self.folder / layout.PUBLIC / layout.CA_LIST
 
     @contextmanager
     def hold(self, *, keep_connection: bool = False) -> Iterator[None]:
@@ -265,7 +270,7 @@ class Keystore:
         `pin` gives the PIN of a token [default: only files that the keys' URIs name]. With `cas`,
         only their keys are read, and can sign; those of others may be on another machine.
         """
-        return unlock(self.root, self.profile, passphrase, pin, cas)
+        return unlock(self.folder, self.profile, passphrase, pin, cas)
 
     def is_locked(self, cas: Collection[SigningCa] = ()) -> bool:
         """Whether a key of `cas`, or of any CA, is encrypted; an adopted keystore may have one."""
@@ -285,18 +290,18 @@ class Keystore:
         """
         found = {}
         for name, data in self._ca_key_files(cas).items():
-            with located(self.root / layout.PRIVATE / name):
+            with located(self.folder / layout.PRIVATE / name):
                 if is_reference(data):
                     found[name] = without_pin(uri_in(data))
         return found
 
     def _ca_key_files(self, cas: Collection[SigningCa] = ()) -> dict[str, bytes]:
-        private = self.root / layout.PRIVATE
+        private = self.folder / layout.PRIVATE
         return {name: read_ca_key(private / name) for name in ca_key_files(self.profile, cas)}
 
     def names(self) -> list[str]:
         """The participants' names, sorted; FileError if a folder cannot be read."""
-        return layout.names_in(self.root)
+        return layout.names_in(self.folder)
 
     @property
     def groups(self) -> dict[str, tuple[str, ...]]:
@@ -338,12 +343,12 @@ class Keystore:
 
     def names_of_all(self) -> list[str]:
         """`names`, and then the enclaves with files but no certificate; FileError likewise."""
-        names, incomplete = layout.enclaves_in(self.root)
+        names, incomplete = layout.enclaves_in(self.folder)
         return [*names, *incomplete]
 
     def has(self, name: str) -> bool:
         """Whether there is any file of a participant called `name`."""
-        return layout.is_there(self.root, layout.enclave_name(name))
+        return layout.is_there(self.folder, layout.enclave_name(name))
 
     def has_key(self, name: str) -> bool:
         """Whether the private key of the participant called `name` is in the keystore.
@@ -358,7 +363,7 @@ class Keystore:
 
         Not of those that cannot be read.
         """
-        folder, found, root = self._enclave(name), set(), real_path(self.root)
+        folder, found, root = self._enclave(name), set(), real_path(self.folder)
         for each in layout.KEYS:
             with suppress(FileError):
                 if is_reference(read_within(root, folder / each, follow=False)):
@@ -366,7 +371,7 @@ class Keystore:
         return frozenset(found)
 
     def _enclave(self, name: str) -> Path:
-        return self.root / layout.enclave_folder(layout.enclave_name(name))
+        return self.folder / layout.enclave_folder(layout.enclave_name(name))
 
     def refuse_unknown(self, name: str) -> None:
         """KeystoreError if there is no participant called `name`, or it has no certificate."""
@@ -377,7 +382,7 @@ class Keystore:
                 hint=f"work there; or issue it here: `pqsec issue {name} --force`, with all its"
                 " rights",
             )
-        refuse_unknown(self.root, name)
+        refuse_unknown(self.folder, name)
 
     def elsewhere(self, names: Iterable[str]) -> list[str]:
         """The participants of these whose files another machine with the same ledger has."""
@@ -389,7 +394,7 @@ class Keystore:
 
     def participant(self, name: str, passphrase: bytes | None = None) -> Credentials:
         """The participant called `name`; KeystoreError if there is none."""
-        return load_participant(self.root, layout.enclave_name(name), passphrase)
+        return load_participant(self.folder, layout.enclave_name(name), passphrase)
 
     def verified(
         self, name: str, passphrase: bytes | None = None, *, now: datetime
@@ -402,8 +407,8 @@ class Keystore:
         PassphraseError for an encrypted key without `passphrase`.
         """
         name = layout.enclave_name(name)
-        folder = self.root / layout.enclave_folder(name)
-        files = enclave_files(self.root, name)
+        folder = self.folder / layout.enclave_folder(name)
+        files = enclave_files(self.folder, name)
         found = Credentials.of(name, files, passphrase, folder=folder)
         credentials.verify_credentials(found, now=now)
         return credentials.verify_credentials(replace(found, anchors=self.anchors), now=now)

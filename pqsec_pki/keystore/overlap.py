@@ -56,7 +56,7 @@ class Overlap:
         has ended: then only the first certificate counts. Errors as of `load_first_certificate`,
         and KeystoreError for a damaged ledger.
         """
-        path = keystore.root / layout.PUBLIC / layout.IDENTITY_CA
+        path = keystore.folder / layout.PUBLIC / layout.IDENTITY_CA
         with located(path):
             data = read(path)
             found = Certificate.all_from_pem(data)

@@ -130,7 +130,7 @@ def _state(
         return RobotState(name=name, state=InstallState.NONE, receipt=receipt, should_run=None)
     if numbers is None:
         return RobotState(name=name, state=state, receipt=None, should_run=None)
-    files = _files(keystore.root, name, shared)
+    files = _files(keystore.folder, name, shared)
     changed: tuple[str, ...] = ()
     if receipt:
         changed = _changed(files, receipt.files, numbers)

@@ -170,7 +170,7 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
     `due` is as in `State.at`. KeystoreError for a damaged ledger.
     """
     authority = keystore.identity_ca.fingerprint
-    compromised = compromised_keys_in(keystore.root, ledger).keys()
+    compromised = compromised_keys_in(keystore.folder, ledger).keys()
     for row in ledger.participants(names):
         name, sha256, serial, at, end, issuer, requests, profile, domains, keys, *others = row
         digest, permissions, line, revoked = others

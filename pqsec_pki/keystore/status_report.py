@@ -161,7 +161,7 @@ def signed_grants(keystore: Keystore, name: str) -> tuple[Grant, ...]:
     No signature is checked: `status` compares the files with the ledger. FileError,
     MalformedError or InvalidDocumentError if they cannot be read.
     """
-    folder = keystore.root / layout.enclave_folder(name)
+    folder = keystore.folder / layout.enclave_folder(name)
     subject = load_certificate(folder / layout.CERTIFICATE).subject_name
     path = folder / layout.PERMISSIONS
     with located(path):

@@ -57,7 +57,7 @@ def next_identity_ca(
     pin: Pin | None = None,
 ) -> Authority:
     """The CA with that certificate, which issues next; PassphraseError for a wrong passphrase."""
-    private, second = keystore.root / layout.PRIVATE, certificate.alternative_key
+    private, second = keystore.folder / layout.PRIVATE, certificate.alternative_key
     authority = Authority(
         certificate,
         load_ca_key(private / layout.NEXT_KEY, passphrase, pin),
@@ -126,7 +126,7 @@ def _link_all(keystore: Keystore, transaction: Transaction) -> None:
     """Link to that file in enclaves that have their own copy, as adopted ones may."""
     shared = {layout.IDENTITY_CA: layout.CA_TARGETS[layout.IDENTITY_CA]}
     for name in keystore.names():
-        for link, target in layout.missing_links(keystore.root, name, shared).items():
+        for link, target in layout.missing_links(keystore.folder, name, shared).items():
             transaction.folder(layout.enclave_folder(name), private=False).link(link, target)
 
 

@@ -57,7 +57,7 @@ class Inspector:
             keystore.issuing_cas,
             {each.name: each for each in participant_states(keystore, ledger, names, now=now)},
             ledger.numbers("permissions"),
-            compromised_keys_in(keystore.root, ledger),
+            compromised_keys_in(keystore.folder, ledger),
         )
 
     def revoked_of(self, names: Sequence[str]) -> list[str]:

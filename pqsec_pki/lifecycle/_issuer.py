@@ -118,7 +118,7 @@ class Issuer:
             entries.append(entry)
         return Issued(
             name=name,
-            folder=self.keystore.root / layout.enclave_folder(name),
+            folder=self.keystore.folder / layout.enclave_folder(name),
             serial=f"{certificate.serial_number:x}",
             not_after=certificate.not_after,
             shortened=certificate.not_after < asked,

@@ -85,10 +85,10 @@ class KeystoreScan:
         names = self.keystore.names()
         for name in names:
             self._participant(name)
-        for folder, here in walk(self.keystore.root / layout.ENCLAVES):
+        for folder, here in walk(self.keystore.folder / layout.ENCLAVES):
             path = folder / layout.CERTIFICATE
             if path.name in here and not exists(path):
-                place = str(path.relative_to(self.keystore.root))
+                place = str(path.relative_to(self.keystore.folder))
                 self.refused[place] = f"a link to {path.readlink()}, which is not there"
         self._find_list(names)
         if self.highest:  # what robots have is of a ledger that was lost: later ones are larger
@@ -146,7 +146,7 @@ class KeystoreScan:
         """Find the newest list. It stays valid: the CA's next list includes its revocations."""
         lists: dict[Path, RevocationList] = {}
         for place in (f"{layout.enclave_folder(name)}/{layout.LIST}" for name in names):
-            if os.path.lexists(self.keystore.root / place):
+            if os.path.lexists(self.keystore.folder / place):
                 with self._reported(place) as path:
                     found = load_revocation_list(path)
                     twice = self.anchors.signed_twice
@@ -168,7 +168,7 @@ class KeystoreScan:
     @contextmanager
     def _reported(self, place: str) -> Iterator[Path]:
         """The file at `place`; an error in the block is recorded in `refused`."""
-        path = self.keystore.root / place
+        path = self.keystore.folder / place
         try:
             yield path
         except PqsecError as error:

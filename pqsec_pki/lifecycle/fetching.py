@@ -49,7 +49,7 @@ class _Fetching:
         for file, data in files.items():
             staged.public(file, data)
             if file == layout.PERMISSIONS:
-                document = signed_document(self.keystore.root, folder, data)
+                document = signed_document(self.keystore.folder, folder, data)
                 staged.public(layout.PERMISSIONS_XML, document)
         if layout.CERTIFICATE in files:
             shared = shared_files(self.keystore, self.authorities)

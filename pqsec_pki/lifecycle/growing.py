@@ -40,7 +40,7 @@ def changed_rights(
 
 
 def _changed(inspector: Inspector, name: str, spec: ParticipantSpec) -> Difference:
-    folder = inspector.keystore.root / layout.enclave_folder(name)
+    folder = inspector.keystore.folder / layout.enclave_folder(name)
     old: Permissions | None = None
     certificate = inspector.certificate(name, folder)
     with suppress(PqsecError):

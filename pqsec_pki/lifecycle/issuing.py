@@ -128,7 +128,7 @@ def _make(
     )
     if keys.csr:
         folder.public(layout.REQUEST, keys.csr)
-    for link, target in layout.missing_links(issuer.keystore.root, spec.name, shared).items():
+    for link, target in layout.missing_links(issuer.keystore.folder, spec.name, shared).items():
         folder.link(link, target)
     permissions = permissions_for(spec, certificate) if sign_permissions else None
     asked = end_of(issuer.now, spec.validity)
@@ -243,7 +243,7 @@ def _refuse_keys(
     }
     if asked:
         with keystore.open_ledger() as ledger:
-            known = {} if compromised else compromised_keys_in(keystore.root, ledger)
+            known = {} if compromised else compromised_keys_in(keystore.folder, ledger)
             for name, keys in asked.items():
                 refuse_compromised(known, name, keys)
             refuse_shared(ledger, asked, now)

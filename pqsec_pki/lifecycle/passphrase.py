@@ -29,7 +29,7 @@ def change_passphrase(
             )
         folder = transaction.folder(layout.PRIVATE, private=True)
         authorities.write_keys(folder, passphrase)
-        paths = [keystore.root / layout.PRIVATE / name for name in folder.names]
+        paths = [keystore.folder / layout.PRIVATE / name for name in folder.names]
         for path in paths:
             if path.is_symlink():
                 raise KeystoreError(

@@ -105,7 +105,7 @@ def sign_changed(
         number = transaction.number
 
         def sign(wanted: PermissionsChange, folder: StagedFolder) -> Entry:
-            there = keystore.root / layout.enclave_folder(wanted.name)
+            there = keystore.folder / layout.enclave_folder(wanted.name)
             if _signed(inspector, wanted.name, there) != wanted.old:
                 raise KeystoreError(
                     f"the permissions of {wanted.name} were changed by another command",
@@ -129,7 +129,7 @@ def sign_changed(
 def _changed(
     inspector: Inspector, name: str, edit: Callable[[str, Grant], Grant]
 ) -> PermissionsChange:
-    folder = inspector.keystore.root / layout.enclave_folder(name)
+    folder = inspector.keystore.folder / layout.enclave_folder(name)
     certificate = inspector.certificate(name, folder)
     subject = certificate.subject_name
     old = _signed(inspector, name, folder)

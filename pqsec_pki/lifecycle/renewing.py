@@ -106,7 +106,7 @@ class Renewer:
     def make(self, name: str, folder: StagedFolder) -> Issued:
         """Stage certificate, permissions and, if new, the keys into `folder`."""
         keystore, now = self.issuer.keystore, self.issuer.now
-        there = keystore.root / layout.enclave_folder(name)
+        there = keystore.folder / layout.enclave_folder(name)
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
             signs = self.terms.sign_permissions
@@ -169,7 +169,7 @@ def lasts_longer(keystore: Keystore, names: Iterable[str], validity: timedelta) 
 
     FileError or MalformedError for a certificate that cannot be read.
     """
-    enclaves = (keystore.root / layout.enclave_folder(name) for name in names)
+    enclaves = (keystore.folder / layout.enclave_folder(name) for name in names)
     return any(validity > _length(load_certificate(each / layout.CERTIFICATE)) for each in enclaves)
 
 

@@ -158,7 +158,7 @@ class Publisher:
         """
         refuse_overlap(self.keystore, "a revocation list would cover only one of them")
         made = self.stage(transaction, new, validity)
-        for place, target in layout.missing_list_links(self.keystore.root):
+        for place, target in layout.missing_list_links(self.keystore.folder):
             transaction.link(place, target)
         return made
 

@@ -197,7 +197,7 @@ class _Execution:
         self._archive()
         self._write_authorities(passphrase)
         enclaves = self.transaction.folder(layout.ENCLAVES, private=False)
-        self._sign_governance(self.old.root / layout.ENCLAVES, enclaves, "")
+        self._sign_governance(self.old.folder / layout.ENCLAVES, enclaves, "")
         issued = self._reissue()
         if self.plan.new_list:
             publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
@@ -206,10 +206,10 @@ class _Execution:
 
     def _archive(self) -> None:
         """Copy the replaced files to the archive; destroy private keys if wanted."""
-        archive = self.plan.archive.relative_to(self.old.root)
+        archive = self.plan.archive.relative_to(self.old.folder)
         folder = self.transaction.folder(archive.as_posix(), private=True)
         for place in self._replaced_files():
-            path = self.old.root / place
+            path = self.old.folder / place
             if not place.startswith(layout.PRIVATE):
                 folder.public(path.name, read(path))
             elif not self.plan.terms.destroy:
@@ -258,7 +258,7 @@ class _Execution:
         issued = shared_out(make, names, folders)
         for each, folder in zip(issued, folders, strict=True):
             self.transaction.record(*each.entries)
-            there = self.old.root / layout.enclave_folder(each.name)
+            there = self.old.folder / layout.enclave_folder(each.name)
             governance = there / layout.GOVERNANCE
             if governance.exists() and not governance.is_symlink():  # its own copy, when adopted
                 self._sign_governance(there, folder, each.name)
@@ -267,7 +267,7 @@ class _Execution:
 
     def _replaced_files(self) -> list[str]:
         places = _PLACES[self.plan.terms.scope]
-        return [place for place in places if (self.old.root / place).exists()]
+        return [place for place in places if (self.old.folder / place).exists()]
 
     def _sign_governance(self, there: Path, folder: StagedFolder, name: str) -> None:
         """Sign the governance in the folder `there` again, into `folder`."""
@@ -291,5 +291,5 @@ class _Execution:
             self.transaction.remove(f"{folder}/{layout.PERMISSIONS_ALT_CA}")
         if not self.new.profile.alternative_key:
             self.transaction.remove(f"{folder}/{layout.ALT_KEY}")
-        for link, target in layout.missing_links(self.old.root, name, shared).items():
+        for link, target in layout.missing_links(self.old.folder, name, shared).items():
             staged.link(link, target)  # replaces the file of an adopted enclave

@@ -59,7 +59,7 @@ def plan_rollover(keystore: Keystore, terms: Rollover, *, now: datetime) -> Roll
         overlap=overlap,
         head=head,
         generation=number + 1,
-        archive=keystore.root / layout.GENERATIONS / str(number),
+        archive=keystore.folder / layout.GENERATIONS / str(number),
         one_ca=keystore.identity_ca.spki == keystore.permissions_ca.spki,
         new_list=terms.reissues and terms.scope is not Scope.PERMISSIONS and has_list,
         drop_list=terms.overlap is OverlapStep.BEGIN and has_list,
@@ -111,7 +111,7 @@ def _revoked(keystore: Keystore, now: datetime) -> dict[int, str]:
 
 def _generation(keystore: Keystore) -> int:
     """The generation of the keystore's CAs, counted from 1."""
-    folder = keystore.root / layout.GENERATIONS
+    folder = keystore.folder / layout.GENERATIONS
     with disk_errors(folder):
         found = list(folder.iterdir()) if exists(folder) else []
     return 1 + max((int(path.name) for path in found if path.name.isdecimal()), default=0)
@@ -125,7 +125,7 @@ def _with_participants(plan: RolloverPlan, keystore: Keystore, now: datetime) ->
     revoked = dict.fromkeys(inspector.revoked_of(names), str(State.REVOKED))
     others = [name for name in names if name not in revoked]
     found = _Decider(inspector, plan.terms, now).all(others)
-    path = keystore.root / layout.ENCLAVES / layout.GOVERNANCE
+    path = keystore.folder / layout.ENCLAVES / layout.GOVERNANCE
     with located(path):
         inspector.verified(read(path))
     return replace(
@@ -156,7 +156,7 @@ class _Decider:
 
     def decide(self, name: str) -> _Decision:
         """KeystoreError for a participant whose files are not the ledger's newest."""
-        folder = self.inspector.keystore.root / layout.enclave_folder(name)
+        folder = self.inspector.keystore.folder / layout.enclave_folder(name)
         certificate = self.inspector.certificate(name, folder)
         has_key = self.inspector.keystore.has_key(name)
         if self.inspector.participants[name].issued_by_previous_ca:

@@ -122,7 +122,7 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
         signed = authorities.sign(
             document, number=transaction.number, now=now, embed_certificate=embed_certificate
         )
-        place = layout.document_folder(keystore.root, kind.value, goal)
+        place = layout.document_folder(keystore.folder, kind.value, goal)
         entry = document_entry(kind.value, str(goal), signed, now)
         transaction.record(entry if place is None else placed_entry(entry, place))
         if place is None:
@@ -145,7 +145,7 @@ class _Signer:
     now: datetime
 
     def sign_permissions(self, name: str, spec: ParticipantSpec, folder: StagedFolder) -> Entry:
-        there = self.keystore.root / layout.enclave_folder(name)
+        there = self.keystore.folder / layout.enclave_folder(name)
         with disk_errors(there):
             certificate = self.inspector.certificate(name, there)
         _, entry = stage_permissions(

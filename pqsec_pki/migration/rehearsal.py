@@ -61,7 +61,7 @@ def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal
     killed. KeystoreError if fewer than two participants have their keys here; other errors of a
     rollover.
     """
-    enclaves = keystore.root / ENCLAVES
+    enclaves = keystore.folder / ENCLAVES
     names = [each for each in keystore.names() if exists(enclaves / each[1:] / KEY)]
     if len(names) < 2:  # noqa: PLR2004 -- a pair
         raise KeystoreError(

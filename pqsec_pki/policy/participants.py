@@ -72,7 +72,7 @@ def end_of_rights(
 
 def enclave_file(keystore: Keystore, name: str, file: str) -> Path:
     """The path of that file of a participant, which may not exist."""
-    return keystore.root / f"{ENCLAVES}{regular_name(name)}/{file}"
+    return keystore.folder / f"{ENCLAVES}{regular_name(name)}/{file}"
 
 
 def valid_anchors(anchors: TrustAnchors, now: datetime) -> TrustAnchors:
@@ -129,7 +129,7 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
 
 def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
     """VerificationError if its own stack would refuse the enclave, apart from its grants."""
-    files = enclave_files(keystore.root, name)
+    files = enclave_files(keystore.folder, name)
     public = {file: data for file, data in files.items() if file not in KEYS}
     try:
         verify_credentials(Credentials.of(name, public), now=now)
@@ -148,7 +148,7 @@ def own_permissions(
 
 def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
     """The governance document of the keystore."""
-    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check)
+    return governance_in(keystore.folder / ENCLAVES / GOVERNANCE, check)
 
 
 def own_governance(

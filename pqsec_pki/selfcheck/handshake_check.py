@@ -143,7 +143,7 @@ def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> Non
 def _to_add_domain(keystore: Keystore) -> str:
     """A hint how to add a domain to the keystore's governance."""
     folder = shlex.quote(str(keystore.root))
-    document = shlex.quote(str(keystore.root / layout.ENCLAVES / layout.GOVERNANCE_XML))
+    document = shlex.quote(str(keystore.folder / layout.ENCLAVES / layout.GOVERNANCE_XML))
     return (
         f"add the domain to {document} and run `pqsec -k {folder} sign-governance {document}"
         " --force`; the permissions must name the domain too"

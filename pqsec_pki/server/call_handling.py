@@ -277,7 +277,7 @@ class CallHandler:
         return SignerAnswer(status=200, body=body, media_type=PKCS7, note=note)
 
     def _certificate_path(self, name: str) -> Path:
-        return self.keystore.root / layout.enclave_folder(name) / layout.CERTIFICATE
+        return self.keystore.folder / layout.enclave_folder(name) / layout.CERTIFICATE
 
     def _bundle(self, name: str, numbers: BundleNumbers, note: str = "") -> SignerAnswer:
         now = self.clock()
@@ -322,7 +322,7 @@ class CallHandler:
 
         It was issued when the clock was ahead. Errors as of `issue`.
         """
-        path = self.keystore.root / layout.enclave_folder(name) / layout.REQUEST
+        path = self.keystore.folder / layout.enclave_folder(name) / layout.REQUEST
         with self.keystore.hold(keep_connection=True):
             with self._whole_ledger() as ledger:
                 spec = self._admission(ledger).again(name, path)

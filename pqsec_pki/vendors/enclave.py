@@ -63,7 +63,7 @@ class StackEnclave:
         invalid name or a relative `at`.
         """
         keystore.refuse_unknown(name)
-        name, profile, root = regular_name(name), keystore.profile, keystore.root.absolute()
+        name, profile, root = regular_name(name), keystore.profile, keystore.folder.absolute()
         folder = root / f"enclaves{name}"
         where = _absolute(at or PurePosixPath(folder))
         elsewhere = at is not None and exists(folder / REQUEST)

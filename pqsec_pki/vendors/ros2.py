@@ -107,7 +107,7 @@ def preflight(
     except PqsecError as error:
         files = Check(what="files", problem=str(error), fix=error.hint or "")
     needs_plugin = any(each.fix.endswith(own_plugin.WAY_OUT) for each in credentials)
-    yield from environment(keystore.root.absolute(), name, variables, plugin=needs_plugin)
+    yield from environment(keystore.folder.absolute(), name, variables, plugin=needs_plugin)
     yield from _ros2_plugin.loaded(variables, name)
     yield files
     if files.ok:

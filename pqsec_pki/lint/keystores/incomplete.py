@@ -89,7 +89,7 @@ def older_copy(inventory: Inventory) -> Iterator[Violation]:
     keystore = inventory.keystore
     if not keystore:
         return
-    of_all = {keystore.root / each for each in (layout.PUBLIC, layout.ENCLAVES)}
+    of_all = {keystore.folder / each for each in (layout.PUBLIC, layout.ENCLAVES)}
     with suppress(PqsecError):  # private/ is not for everybody to read
         for path in older_copies(keystore):
             # with other machines, those of one participant are where they were made

@@ -71,7 +71,7 @@ def superseded_and_valid(inventory: Inventory) -> Iterator[Violation]:
             last = max(each.ends for each in entries)
             count = f"{len(entries)} certificate{'s' if len(entries) > 1 else ''}"
             words = f"{count} before the current one of {name} can be used until {said(last)}"
-            yield Violation(words, path=keystore.root / layout.enclave_folder(name))
+            yield Violation(words, path=keystore.folder / layout.enclave_folder(name))
 
 
 def _delivery(inventory: Inventory) -> ListDelivery | None:
