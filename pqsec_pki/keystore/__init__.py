@@ -9,6 +9,7 @@ Its content:
     participant   the files of one participant, and their content
     authorities   the CAs with their private keys
     ca_keys       the files of those keys
+    sets          the CAs and documents of several sets of credentials
     keystore      opens and creates the folder
     patterns      participants given as patterns and groups
     groups        the groups that `apply` stored
@@ -40,6 +41,7 @@ Changes:
     _outsiders    refuses a keystore that another user could change
     _lock         one command at a time
     _transaction  the files and lines of a change, before it is committed
+    _set_change   its part that is about one set of credentials
     _journal      commits a change wholly or not at all
     _moves        what a committed change still has to do
     _shredding    overwrites private keys that are removed
@@ -82,6 +84,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore._ledger import ABOVE, Ledger
     from pqsec_pki.keystore._moved_ledger import moved_entry
     from pqsec_pki.keystore._postgres_schema import schema_sql
+    from pqsec_pki.keystore._set_change import SetChange
     from pqsec_pki.keystore._settings import settings_file
     from pqsec_pki.keystore._shared_files import LedgerFile, files_elsewhere
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
@@ -153,6 +156,13 @@ if TYPE_CHECKING:
         registrations_of,
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
+    from pqsec_pki.keystore.sets import (
+        further,
+        refuse_further_sets,
+        stage_cas,
+        stage_governance,
+        together,
+    )
     from pqsec_pki.keystore.shared_requests import RequestRow, SharedRequests
     from pqsec_pki.keystore.signing_clock import CLOCK_SKEW, was_ahead
     from pqsec_pki.keystore.states import (
@@ -217,6 +227,7 @@ __all__ = [
     "RequestRow",
     "RobotState",
     "SeenLedger",
+    "SetChange",
     "SharedRequests",
     "SharedStatus",
     "SigningCa",
@@ -242,6 +253,7 @@ __all__ = [
     "expanded",
     "faults_of_ledger",
     "files_elsewhere",
+    "further",
     "governance_digest",
     "grant_end_entry",
     "grant_entry",
@@ -274,6 +286,7 @@ __all__ = [
     "predates_approvals",
     "read_anchors",
     "read_head",
+    "refuse_further_sets",
     "refuse_overlap",
     "registration",
     "registrations",
@@ -287,9 +300,12 @@ __all__ = [
     "signed_document",
     "signed_governance",
     "signed_grants",
+    "stage_cas",
+    "stage_governance",
     "status",
     "superseded_certificates",
     "superseded_in",
+    "together",
     "trust_entry",
     "trust_file",
     "was_ahead",

@@ -19,6 +19,15 @@ Value = TypeVar("Value")
 
 START = "0" * 64
 """The chain value before the first line."""
+SET = "set"
+"""The detail with the name of the set of credentials; lines of the first set have none."""
+OF_A_SET = frozenset(
+    {
+        *("identity-ca", "permissions-ca", "trust", "trust-end", "participant", "permissions"),
+        *("governance", "crl", "revocation", "compromise"),
+    }
+)
+"""The kinds of lines about one set; all others are about the whole keystore."""
 _LINE = json.JSONEncoder(separators=(",", ":"))
 _DETAILS = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
 
@@ -72,6 +81,11 @@ class Entry:
             issuer=issuer,
             details=dict(details or {}),
         )
+
+    @property
+    def set_name(self) -> str:
+        """The set of credentials that it is about; empty for the first one, or for none."""
+        return self.details.get(SET, "")
 
     @property
     def made_at(self) -> datetime:

@@ -11,6 +11,7 @@ from pqsec_pki.credentials import only_list
 from pqsec_pki.errors import KeystoreError, PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._settings import set_names
 from pqsec_pki.keystore._shared_files import LedgerFile, shared_elsewhere
 from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.participant import load_first_certificate
@@ -59,16 +60,23 @@ def refuse_older_files(transaction: Transaction) -> None:
     """
     if not any(each.kind in {"participant", "permissions"} for each in transaction.entries):
         return
-    with transaction.opened_ledger() as ledger:
-        older = shared_elsewhere(Path(transaction.root.path), ledger)
-        for each in older:
-            path = Path(transaction.root.path) / each.folder / each.file
-            if exists(path) and not transaction.stages(each.folder, each.file):
-                line = ledger.line_of((each.kind,), each.sha256)
-                raise KeystoreError(
-                    f"{path} is an older one: line {line} of the ledger has the newest",
-                    hint=WAYS_OUT[each.kind],
-                )
+    for name in set_names(Path(transaction.root.path)):
+        with transaction.opened_ledger(name) as ledger:
+            _refuse_older_files(transaction, ledger)
+
+
+def _refuse_older_files(transaction: Transaction, ledger: Ledger) -> None:
+    """As above, of the set that the ledger answers about."""
+    folder = Path(transaction.root.path) / layout.in_set(ledger.set_name, "")
+    for each in shared_elsewhere(folder, ledger):
+        path = folder / each.folder / each.file
+        place = layout.in_set(ledger.set_name, each.folder)
+        if exists(path) and not transaction.stages(place, each.file):
+            line = ledger.line_of((each.kind,), each.sha256)
+            raise KeystoreError(
+                f"{path} is an older one: line {line} of the ledger has the newest",
+                hint=WAYS_OUT[each.kind],
+            )
 
 
 def signed_document(root: Path, folder: str, signed: bytes) -> bytes:

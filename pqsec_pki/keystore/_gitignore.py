@@ -18,10 +18,15 @@ _SECRETS = ("*.key", "*.key.pem", layout.KEY, "*.token", "*.bundle", "*passphras
 """Also what users put beside a keystore."""
 _SHOWN = (CERTIFICATE, "*.cert.pem", REVOCATION_LIST, "*.xml", "*.p7s", REQUEST, PROOF)
 """What git takes of the enclaves."""
+_IN_SETS = layout.in_set("*", "")
 _KEYSTORE = (
     *(f"/{each}/" for each in (layout.PRIVATE, layout.JOURNAL, layout.PREPARED, ".draft-*")),
-    *(f"/{ENCLAVES}/**", f"!/{ENCLAVES}/**/"),
-    *(f"!/{ENCLAVES}/**/{each}" for each in _SHOWN),
+    f"/{_IN_SETS}{layout.PRIVATE}/",
+    *(
+        pattern
+        for folder in (f"/{ENCLAVES}/**", f"/{_IN_SETS}{ENCLAVES}/**")
+        for pattern in (folder, f"!{folder}/", *(f"!{folder}/{each}" for each in _SHOWN))
+    ),
     *_SECRETS,
 )
 

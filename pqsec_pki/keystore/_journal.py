@@ -42,9 +42,10 @@ from pqsec_pki.keystore._moved_ledger import refuse_moved
 from pqsec_pki.keystore._moves import DRAFT
 from pqsec_pki.keystore._outsiders import refuse_open_keystore, refuse_open_root
 from pqsec_pki.keystore._replaced_cas import refuse_replaced
+from pqsec_pki.keystore._settings import set_names
 from pqsec_pki.keystore._transaction import Transaction
 from pqsec_pki.keystore.heads import compared
-from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN, SETTINGS
+from pqsec_pki.keystore.layout import JOURNAL, PREPARED, PRIVATE, SEEN, SETTINGS, in_set
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._postgres import PostgresLedger
@@ -289,8 +290,9 @@ def _sweep(root: Folder) -> None:
         else:
             os.unlink(name, dir_fd=root.handle)
     _drafts.sweep(root.handle)
-    with suppress(FileNotFoundError), root.below(PRIVATE) as private:
-        _drafts.sweep(private.handle, SEEN)
+    for name in set_names(Path(root.path)):
+        with suppress(FileNotFoundError), root.below(in_set(name, PRIVATE)) as private:
+            _drafts.sweep(private.handle, SEEN)
 
 
 def _remove_tree(root: Folder, name: str) -> None:

@@ -2,16 +2,18 @@
 
 import json
 import sqlite3
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Self, TypeAlias
 
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import _copies, _table
-from pqsec_pki.keystore._chain import Entry, Line
+from pqsec_pki.keystore import _copies, _table, layout
+from pqsec_pki.keystore._chain import OF_A_SET, SET, Entry, Line
 from pqsec_pki.keystore._store import MAX_TEXT, LedgerStore
 
 _DETAIL = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
+_OWN = f" AND ifnull({_DETAIL.format(SET)}, '') = :set"
+"""Of the set that is asked about: the lines of the first set do not name it."""
 _PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row that has it
     "WITH certified AS (SELECT max(number) AS number, name, sha256, at,"  # noqa: S608 -- no outside text
     " ifnull(not_after, '') AS not_after, ifnull(serial, '') AS serial,"
@@ -21,11 +23,11 @@ _PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row t
     f" CAST({_DETAIL.format('domains')} AS TEXT) AS domains,"
     f" ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '') AS keys,"
     f" ifnull(CAST({_DETAIL.format('mark')} AS TEXT), '') AS mark"
-    " FROM ledger WHERE kind = 'participant'{chosen} GROUP BY name),"
+    f" FROM ledger WHERE kind = 'participant'{{chosen}}{_OWN} GROUP BY name),"
     " signed AS (SELECT max(number) AS number, name, sha256,"
     f" CAST({_DETAIL.format('domains')} AS TEXT) AS domains,"
     f" nullif(CAST({_DETAIL.format('mark')} AS TEXT), '') AS mark"
-    " FROM ledger WHERE kind = 'permissions'{chosen} GROUP BY name)"
+    f" FROM ledger WHERE kind = 'permissions'{{chosen}}{_OWN} GROUP BY name)"
     " SELECT certified.name, certified.sha256, serial, at, not_after, issuer, requests, profile,"
     " ifnull(signed.domains, certified.domains), keys,"
     " ifnull(CASE WHEN signed.number > certified.number THEN signed.mark END, certified.mark),"
@@ -45,15 +47,17 @@ _KEYS_AFTER = (
 )
 """The + keeps SQLite from the index of kinds, so that only the lines after that one are read."""
 _CERTIFIED = (
-    "SELECT key, name, sha256 FROM temp.certified JOIN ledger USING (number)"
+    f"SELECT key, name, ifnull({_DETAIL.format(SET)}, ''), sha256"  # noqa: S608 -- see above
+    " FROM temp.certified JOIN ledger USING (number)"
     " WHERE key IN (SELECT value FROM json_each(?)) AND not_after >= ? ORDER BY number"
 )
 _REPLACED = (
-    f"SELECT number, {_table.COLUMNS} FROM ledger WHERE kind = 'participant' AND not_after >= ?"  # noqa: S608 -- no outside text
-    " AND NOT EXISTS (SELECT 1 FROM ledger AS ended"
+    f"SELECT number, {_table.COLUMNS} FROM ledger WHERE kind = 'participant' AND not_after >= :at"  # noqa: S608 -- no outside text
+    f"{_OWN} AND NOT EXISTS (SELECT 1 FROM ledger AS ended"
     " WHERE ended.kind = 'revocation' AND ended.sha256 = ledger.sha256)"
     " AND EXISTS (SELECT 1 FROM ledger AS newer WHERE newer.kind = 'participant'"
-    " AND newer.name = ledger.name AND newer.number > ledger.number) ORDER BY number"
+    f" AND newer.name = ledger.name AND newer.number > ledger.number"
+    f"{_OWN.replace('details', 'newer.details')}) ORDER BY number"
 )
 
 
@@ -69,11 +73,15 @@ _ORIGIN = 32
 
 
 class Ledger:
-    """A copy in memory of the lines in a store, as of its creation."""
+    """A copy in memory of the lines in a store, as of its creation.
 
-    def __init__(self, store: LedgerStore) -> None:
+    Questions by kind, or by kind and name, are about the lines of one set of credentials, if lines
+    of that kind are of a set; all others are about all lines.
+    """
+
+    def __init__(self, store: LedgerStore, set_name: str = layout.FIRST) -> None:
         """Load it; KeystoreError if it is missing there, or is not a ledger."""
-        self._place = store.place
+        self._place, self.set_name = store.place, set_name
         with self._errors("not a ledger: "):
             self._open: _copies.LedgerCopy | None = _updated(store) or _loaded(store)
 
@@ -153,7 +161,7 @@ class Ledger:
     def above(self) -> int:
         """The largest sequence number of a ledger that was lost before this one began; 0 if none
         was."""
-        first = self._find("number = 1")
+        first = self._find("number = 1", ())
         text = first[0].details.get(ABOVE, "") if first else ""
         return int(text) if text.isdecimal() else 0
 
@@ -183,37 +191,38 @@ class Ledger:
 
     def of_kind(self, *kinds: str) -> list[Entry]:
         """The entries of these kinds, oldest first."""
-        marks = ", ".join("?" for _ in kinds)
-        return self._find(f"kind IN ({marks}) ORDER BY number", *kinds)
+        return self._own(kinds, "ORDER BY number")
 
     def of_name(self, kind: str, name: str) -> list[Entry]:
         """The entries of that kind and name, oldest first."""
-        return self._find("kind = ? AND name = ? ORDER BY number", kind, name)
+        return self._own([kind], "AND name = :name ORDER BY number", name=name)
 
     def placed(self, kind: str) -> dict[str, Entry]:
         """The newest entry of that kind for each folder into which one was signed by hand."""
         place = _DETAIL.format(PLACE)
-        found = self._find(f"kind = ? AND {place} IS NOT NULL ORDER BY number", kind)
+        found = self._own([kind], f"AND {place} IS NOT NULL ORDER BY number")
         return {str(each.details[PLACE]): each for each in found}
 
     def last_of(self, *kinds: str) -> Entry | None:
-        """The newest entry of these kinds; None if there is none."""
+        """The newest entry of these kinds, in any set; None if there is none."""
         marks = ", ".join("?" for _ in kinds)
         # The + keeps SQLite from the index of kinds, by which it would sort all their lines.
-        found = self._find(f"+kind IN ({marks}) ORDER BY number DESC LIMIT 1", *kinds)
+        found = self._find(f"+kind IN ({marks}) ORDER BY number DESC LIMIT 1", kinds)
         return next(iter(found), None)
 
     def count(self, kind: str, name: str) -> int:
         """The number of lines of that kind and name."""
-        return self._number("SELECT count(*) FROM ledger WHERE kind = ? AND name = ?", kind, name)
+        return self._number(
+            f"SELECT count(*) FROM ledger WHERE {self._condition([kind])} AND name = :name",  # noqa: S608 -- no outside text
+            {"kind0": kind, "name": name, "set": self.set_name},
+        )
 
     def line_of(self, kinds: Collection[str], sha256: str) -> int:
         """The number of the newest line of these kinds with that SHA-256; 0 if there is none."""
         marks = ", ".join("?" for _ in kinds)
         return self._number(
             f"SELECT ifnull(max(number), 0) FROM ledger WHERE kind IN ({marks}) AND sha256 = ?",  # noqa: S608 -- no outside text
-            *kinds,
-            sha256,
+            (*kinds, sha256),
         )
 
     def row(self, number: int) -> Row | None:
@@ -222,20 +231,22 @@ class Ledger:
 
     def newest(self, kind: str) -> list[Entry]:
         """The newest entry of that kind for each name."""
+        own = self._condition([kind])
         return self._find(
-            "number IN (SELECT max(number) FROM ledger WHERE kind = ? GROUP BY name)", kind
+            f"number IN (SELECT max(number) FROM ledger WHERE {own} GROUP BY name)",  # noqa: S608 -- no outside text
+            {"kind0": kind, "set": self.set_name},
         )
 
     def replaced(self, at: str) -> list[tuple[int, Entry]]:
         """The certificates that end at `at` or later and were not revoked, of participants that
         got another one since, with the numbers of their lines; oldest first."""
         with self._errors():
-            rows = self._database.execute(_REPLACED, (at,))
+            rows = self._database.execute(_REPLACED, {"at": at, "set": self.set_name})
             return [(number, _table.entry(row)) for number, *row in rows]
 
     def revoked_for(self, reason: str) -> list[Entry]:
         """The entries of participants whose certificates were revoked for that reason."""
-        return self._find(_REVOKED_FOR, reason)
+        return self._find(_REVOKED_FOR, (reason,))
 
     def issued(self) -> dict[str, str]:
         """The participant of each certificate, by its SHA-256."""
@@ -245,8 +256,9 @@ class Ledger:
             )
             return dict(rows.fetchall())
 
-    def certified(self, keys: Iterable[str], until: str) -> list[tuple[str, str, str]]:
-        """Key, name and SHA-256 of each certificate for these keys that ends at `until` or later.
+    def certified(self, keys: Iterable[str], until: str) -> list[tuple[str, str, str, str]]:
+        """Key, name, set and SHA-256 of each certificate for these keys, in any set, that ends at
+        `until` or later.
 
         `keys` are hashes, as of `key_hashes`.
         """
@@ -267,22 +279,45 @@ class Ledger:
         """
         query = _PARTICIPANTS.replace("{chosen}", "" if names is None else _CHOSEN)
         with self._errors():
-            yield from self._database.execute(query, {"names": json.dumps(list(names or ()))})
+            chosen = {"names": json.dumps(list(names or ())), "set": self.set_name}
+            yield from self._database.execute(query, chosen)
 
     def numbers(self, kind: str) -> dict[str, int]:
         """The line numbers of that kind, by SHA-256."""
         with self._errors():
             rows = self._database.execute(
-                "SELECT sha256, number FROM ledger WHERE kind = ?", (kind,)
+                f"SELECT sha256, number FROM ledger WHERE {self._condition([kind])}",  # noqa: S608 -- no outside text
+                {"kind0": kind, "set": self.set_name},
             )
             return dict(rows.fetchall())
 
-    def _number(self, query: str, *values: str) -> int:
+    def sets(self) -> set[str]:
+        """The names of the sets of credentials that have CAs."""
+        with self._errors():
+            rows = self._database.execute(
+                f"SELECT DISTINCT ifnull({_DETAIL.format(SET)}, '') FROM ledger"  # noqa: S608 -- no outside text
+                " WHERE kind = 'identity-ca'"
+            )
+            return {str(each) for (each,) in rows}
+
+    def _own(self, kinds: Sequence[str], others: str, **values: str) -> list[Entry]:
+        """The entries of these kinds, of this set if they are of one, and of `others`."""
+        numbered = {f"kind{number}": each for number, each in enumerate(kinds)}
+        return self._find(
+            f"{self._condition(kinds)} {others}", {**numbered, **values, "set": self.set_name}
+        )
+
+    @staticmethod
+    def _condition(kinds: Sequence[str]) -> str:
+        marks = ", ".join(f":kind{number}" for number in range(len(kinds)))
+        return f"kind IN ({marks}){'' if OF_A_SET.isdisjoint(kinds) else _OWN}"
+
+    def _number(self, query: str, values: Sequence[str] | Mapping[str, str] = ()) -> int:
         with self._errors():
             found: int = self._database.execute(query, values).fetchone()[0]
             return found
 
-    def _find(self, condition: str, *values: str) -> list[Entry]:
+    def _find(self, condition: str, values: Sequence[str] | Mapping[str, str]) -> list[Entry]:
         with self._errors():
             rows = self._database.execute(
                 f"SELECT {_table.COLUMNS} FROM ledger WHERE {condition}",  # noqa: S608

@@ -8,9 +8,10 @@ from pqsec_pki._places import refuse_outsiders
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._folder import OTHERS
+from pqsec_pki.keystore._settings import set_names
 
 _BESIDE = (
-    *(layout.GROUPS, layout.ENCLAVES),
+    layout.ENCLAVES,
     *(f"{layout.ENCLAVES}/{each}" for each in (layout.GOVERNANCE, layout.GOVERNANCE_XML)),
 )
 
@@ -32,8 +33,13 @@ def refuse_open_root(root: Path) -> None:
 
 
 def _in(root: Path) -> Iterator[Path]:
-    yield from (root / each for each in _BESIDE)
-    for folder in (layout.PUBLIC, layout.PRIVATE):
-        for above, _, files in os.walk(root / folder):
-            yield Path(above)
-            yield from (Path(above, each) for each in files)
+    yield root / layout.GROUPS
+    for name in set_names(root):
+        folder = root / layout.in_set(name, "")
+        if folder != root:
+            yield from (folder.parent, folder)
+        yield from (folder / each for each in _BESIDE)
+        for public in (layout.PUBLIC, layout.PRIVATE):
+            for above, _, files in os.walk(folder / public):
+                yield Path(above)
+                yield from (Path(above, each) for each in files)

@@ -20,6 +20,7 @@ from pqsec_pki.keystore._chain import Entry, details_text
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder, should_be
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._set_change import SetChange
 from pqsec_pki.keystore._shared_files import LedgerFile, recorded_files
 from pqsec_pki.keystore._store import MAX_DETAILS
 from pqsec_pki.keystore.heads import extended
@@ -120,6 +121,10 @@ class Transaction:
         staged.set_mode(0o700 if private else 0o755)
         self.targets.append(target)
         return staged
+
+    def of(self, set_name: str) -> SetChange:
+        """The part of this change that is about the set called `set_name`."""
+        return SetChange(self, set_name)
 
     def link(self, place: str, target: str) -> None:
         """Record a symbolic link at `place`, in an existing folder; it replaces another link.
@@ -241,15 +246,16 @@ class Transaction:
         return any(name in StagedFolder(self.made.handle, f"{each}").names for each in numbers)
 
     @contextmanager
-    def opened_ledger(self) -> Iterator[Ledger]:
-        """The ledger as it is; a new one for a keystore that is being created."""
+    def opened_ledger(self, set_name: str = layout.FIRST) -> Iterator[Ledger]:
+        """The ledger as it is, for questions about that set; a new one for a keystore that is being
+        created."""
         if self.database:
-            with Ledger(self.database) as ledger:
+            with Ledger(self.database, set_name) as ledger:
                 yield ledger
             return
         with (
             self._ledger_folder() as folder,
-            Ledger(FileStore(folder, begin=self.begins_ledger)) as ledger,
+            Ledger(FileStore(folder, begin=self.begins_ledger), set_name) as ledger,
         ):
             yield ledger
 

@@ -13,6 +13,7 @@ from pqsec_pki._files import disk_errors, read, write
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, VerificationError, located
 from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._settings import set_names
 from pqsec_pki.keystore.heads import read_head, signers_in, signing_keys
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.transparency import Checkpoint, HeadExtension, MerkleTree, TreeHead, leaf_of
@@ -203,8 +204,12 @@ def _signed_by(checkpoint: Checkpoint, signers: list[Certificate]) -> bool:
 
 
 def _signers(root: Path) -> Iterator[list[Certificate]]:
-    """The current signers, and those that were replaced."""
-    yield signers_in(root / layout.PUBLIC)
+    """The current signers of each set, and those that were replaced.
+
+    One set's are enough: heads from before another set was added have no others.
+    """
+    for name in set_names(root):
+        yield signers_in(root / layout.in_set(name, layout.PUBLIC))
     generations = root / layout.GENERATIONS
     with disk_errors(generations):
         there = sorted(generations.iterdir()) if generations.is_dir() else []

@@ -13,6 +13,7 @@ from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._entries import certificate_entry
+from pqsec_pki.keystore._settings import set_names
 from pqsec_pki.keystore._transaction import StagedFolder
 from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
 from pqsec_pki.keystore.participant import load_first_certificate
@@ -52,6 +53,10 @@ class Authorities:
     """The ML-DSA half of the permissions CA. It has its own certificate, which documents need
     not carry: they are sent in every handshake."""
     embed_certificate: bool
+    set_name: str = layout.FIRST
+    """The set of credentials that they are for."""
+    others: tuple["Authorities", ...] = ()
+    """The CAs of the further sets; only those of the first set have them."""
     compares_clock: bool = False
     """Whether `now` is what this machine's clock says, as in all commands: then nothing is signed
     if the keystore says that it is wrong (`signing_clock`)."""
@@ -93,9 +98,24 @@ class Authorities:
         )
 
     @property
-    def signers(self) -> tuple[Authority, ...]:
-        """The CAs that sign documents, and heads of the ledger."""
+    def sets(self) -> tuple["Authorities", ...]:
+        """The CAs of each set, in the order of `Keystore.sets`."""
+        return (self, *self.others)
+
+    @property
+    def all(self) -> tuple[Authority, ...]:
+        """The CAs of this set."""
+        return (self.identity, *self.document_signers)
+
+    @property
+    def document_signers(self) -> tuple[Authority, ...]:
+        """The CAs that sign the documents of this set."""
         return (self.permissions, *((self.countersigner,) if self.countersigner else ()))
+
+    @property
+    def signers(self) -> tuple[Authority, ...]:
+        """The CAs that sign heads of the ledger: those that sign documents, of all sets."""
+        return tuple(ca for each in self.sets for ca in each.document_signers)
 
     @property
     def can_sign(self) -> bool:
@@ -116,7 +136,7 @@ class Authorities:
         installs].
         """
         counter = self.countersigner
-        for each in self.signers:
+        for each in self.document_signers:
             end = each.certificate.not_after
             if now > end:
                 name = each.certificate.subject_name
@@ -158,16 +178,23 @@ class Authorities:
             private.private(name, pem)
 
     def refuse_outdated(self, root: Path) -> None:
-        """KeystoreError if the CAs of the keystore at `root` have been replaced.
+        """KeystoreError if the CAs of the keystore at `root` have been replaced, or it has
+        other sets now.
 
         Call it while the keystore is locked.
         """
-        for name, certificate in _certificates(self):
-            if load_first_certificate(root / layout.PUBLIC / name).der != certificate.der:
-                raise KeystoreError(
-                    f"{certificate.subject_name} has been replaced by another CA meanwhile",
-                    hint="run the command again",
-                )
+        if set_names(root) != tuple(each.set_name for each in self.sets):
+            raise KeystoreError(
+                f"{root} has other sets of credentials meanwhile", hint="run the command again"
+            )
+        for each in self.sets:
+            public = root / layout.in_set(each.set_name, layout.PUBLIC)
+            for name, certificate in _certificates(each):
+                if load_first_certificate(public / name).der != certificate.der:
+                    raise KeystoreError(
+                        f"{certificate.subject_name} has been replaced by another CA meanwhile",
+                        hint="run the command again",
+                    )
 
     def entries(self, now: datetime) -> Iterator[Entry]:
         """The CAs' entries for the ledger."""
@@ -176,14 +203,16 @@ class Authorities:
             yield certificate_entry(kind, certificate.subject_name, certificate, now)
 
 
-def unlock(
-    root: Path,
+def unlock(  # noqa: PLR0913 -- as `Keystore.unlock` gives them
+    folder: Path,
     profile: Profile,
     passphrase: bytes | None,
     pin: Pin | None = None,
     cas: Collection[SigningCa] = (),
+    *,
+    set_name: str = layout.FIRST,
 ) -> Authorities:
-    """The CAs of the keystore at `root`; `pin` gives the PINs of tokens.
+    """The CAs of the set in `folder`; `pin` gives the PINs of tokens.
 
     With `cas`, only their keys are read; signing with another raises KeystoreError. KeystoreError
     if a file is missing or a key does not fit its certificate, PassphraseError if the keys are
@@ -191,7 +220,7 @@ def unlock(
     """
     cas = cas or tuple(SigningCa)
     names = ca_key_files(profile, cas)
-    private, public = root / layout.PRIVATE, root / layout.PUBLIC
+    private, public = folder / layout.PRIVATE, folder / layout.PUBLIC
     loaded = _each(lambda name: load_ca_key(private / name, passphrase, pin), names, passphrase)
     keys = dict(zip(names, loaded, strict=True))
 
@@ -212,6 +241,7 @@ def unlock(
         if profile.alternative_key
         else None,
         embed_certificate=profile.runs_in_stock,
+        set_name=set_name,
     )
     _check_pairs(authorities)
     return authorities
@@ -262,9 +292,8 @@ def _check_pairs(authorities: Authorities) -> None:
             "the identity CA and the permissions CA have the same key (CVE-2023-24010)",
             hint="replace them by two distinct CAs and reissue everything: `pqsec ca rotate`",
         )
-    for authority in (authorities.identity, authorities.permissions, authorities.countersigner):
-        if authority:
-            check_pair(authority)
+    for authority in authorities.all:
+        check_pair(authority)
 
 
 def check_pair(authority: Authority) -> None:

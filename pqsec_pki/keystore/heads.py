@@ -27,6 +27,7 @@ from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest
+from pqsec_pki.keystore._settings import set_names
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
@@ -97,8 +98,9 @@ class SignedTree:
 def compared(root: Path, open_ledger: Callable[[], Ledger]) -> Ledger:
     """The ledger of the keystore at `root`, which has what its CAs signed the newest head of.
 
-    KeystoreError if it lacks a line of that head, or the head is not theirs. Without a head
-    nothing is compared. `audit` also finds lines that were rewritten under the same chain values.
+    KeystoreError if it lacks a line of that head, or the head is not theirs, or if the settings
+    name other sets of credentials than its lines. Without a head the rest is not compared. `audit`
+    also finds lines that were rewritten under the same chain values.
     """
     ledger, wrong = _compared(root, open_ledger)
     if wrong:
@@ -117,13 +119,29 @@ def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, Ke
     head = read(path) if exists(path) else b""  # first: other machines add lines meanwhile
     ledger = open_ledger()
     try:
-        wrong = None if not head or ledger.fits(head) else _difference(root, ledger, head)
+        wrong = _other_sets(root, ledger)
+        if not wrong and head and not ledger.fits(head):
+            wrong = _difference(root, ledger, head)
     except BaseException:
         ledger.close()
         raise
     if not wrong:
         ledger.is_found_to_fit(head)
     return ledger, wrong
+
+
+def _other_sets(root: Path, ledger: Ledger) -> KeystoreError | None:
+    """The error if the settings, which nobody signs, name other sets than the ledger has."""
+    named, known = {*set_names(root)}, {layout.FIRST, *ledger.sets()}
+    if named == known:
+        return None
+    what = "lacks" if known - named else "has"
+    names = ", ".join(sorted(known ^ named))
+    return KeystoreError(
+        f"{root / layout.SETTINGS} {what} the set of credentials {names}, and the ledger"
+        f" {'has it' if known - named else 'does not'}",
+        hint="restore the settings from a backup: without a set, it would no longer be looked at",
+    )
 
 
 def _difference(root: Path, ledger: Ledger, data: bytes) -> KeystoreError | None:
@@ -172,8 +190,14 @@ def _has_lines(root: Path, ledger: Ledger, head: TreeHead) -> bool:
     return (tree.size, tree.root) == (count, wanted)
 
 
+def signers_of(root: Path) -> list[Certificate]:
+    """Who signs heads of the keystore at `root`: the signers of each of its sets."""
+    public = (root / layout.in_set(each, layout.PUBLIC) for each in set_names(root))
+    return [signer for folder in public for signer in signers_in(folder)]
+
+
 def signers_in(folder: Path) -> list[Certificate]:
-    """Who signs heads: the permissions CA in the folder and, if there is one, its countersigner."""
+    """The permissions CA in the folder and, if there is one, its countersigner."""
     second = [layout.PERMISSIONS_ALT_CA] if exists(folder / layout.PERMISSIONS_ALT_CA) else []
     return [load_first_certificate(folder / each) for each in (layout.PERMISSIONS_CA, *second)]
 
@@ -195,7 +219,7 @@ def read_head(root: Path) -> Checkpoint | None:
 def _verified_in(root: Path, head: bytes) -> Checkpoint:
     """The head in `head`, by the CAs of the keystore at `root`; errors as of `read_head`."""
     with located(root / layout.PUBLIC / layout.TREE_HEAD):
-        return _verified(head, *(each.spki for each in signers_in(root / layout.PUBLIC)))
+        return _verified(head, *(each.spki for each in signers_of(root)))
 
 
 @lru_cache(maxsize=4)

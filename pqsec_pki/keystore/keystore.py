@@ -33,7 +33,6 @@ from pqsec_pki.errors import (
 from pqsec_pki.keystore import _journal, _settings, _shared, layout
 from pqsec_pki.keystore._address import LedgerAddress
 from pqsec_pki.keystore._chain import Entry, Line
-from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._file_store import FileStore
 from pqsec_pki.keystore._folder import Folder
 from pqsec_pki.keystore._gitignore import GITIGNORE, keystore_ignored
@@ -50,6 +49,7 @@ from pqsec_pki.keystore.participant import (
     refuse_unknown,
 )
 from pqsec_pki.keystore.patterns import GROUP, expanded, is_several
+from pqsec_pki.keystore.sets import created, stage_cas, stage_governance, together
 from pqsec_pki.tokens import Pin, is_reference, uri_in, without_pin
 
 if TYPE_CHECKING:
@@ -58,10 +58,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Keystore:
-    """The keystore in the folder `root`, with its profile and default domains."""
+    """One set of credentials of the keystore in the folder `root`, which has one or more.
+
+    Each set has CAs, a governance and enclaves of one profile. All share the ledger, the journal,
+    the settings and the default domains. `sets` has a value for each of them.
+    """
 
     root: Path
-    profile: Profile
+    """The folder with the settings, the journal and, in its `private/`, the ledger."""
+    profiles: tuple[Profile, ...]
+    """Those of all sets, that of the first one first."""
     domains: DomainSet
     """Domains of participants that are not issued for other domains."""
     to_change: bool = field(default=False, compare=False, repr=False)
@@ -69,6 +75,8 @@ class Keystore:
     approved: bool = field(default=False, compare=False, repr=False)
     """Whether what is done with this value was approved by the people that the policy wants."""
 
+    set_name: str = layout.FIRST
+    """Which set this is: empty for the first one, otherwise the name of its profile."""
     is_as_found: bool = field(default=False, compare=False, repr=False)
     """Whether its ledger is read as it is: nothing may be decided by it."""
 
@@ -76,8 +84,7 @@ class Keystore:
     def create(  # noqa: PLR0913 -- each is a choice of the user's, and all by name
         cls,
         root: Path,
-        profile: Profile,
-        *,
+        *profiles: Profile,
         name: str,
         domains: DomainSet,
         validity: timedelta,
@@ -87,39 +94,34 @@ class Keystore:
         gitignore: bool = False,
         now: datetime,
     ) -> Self:
-        """Create two CAs and a signed default governance in the folder `root`.
+        """Create two CAs and a signed default governance for each profile in the folder `root`.
 
-        `keys` are CA keys that are there already, by the names of their files: see `made_keys`.
+        `keys` are the first set's CA keys that are there already, by the names of their files.
         The ledger begins in the database at `ledger` [default: in a file of the keystore]. With
         `gitignore`, for a keystore that a user keeps, a `.gitignore` leaves its secrets out of git.
 
         ExistsError if a keystore is there already: CA keys are never overwritten. UsageError for
-        domains that stacks read differently.
+        domains that stacks read differently, and for a profile that is given twice.
         """
         cls.refuse_occupied(root)
         refuse_without_links(root, "a keystore", hard=True)
-        settings = _settings.settings_file(profile, domains, ledger)
-        authorities = Authorities.create(profile, name, now=now, validity=validity, keys=keys)
+        settings = _settings.settings_file(profiles, domains, ledger)
+        made = cls(root, profiles, domains, to_change=True)
+        authorities = created(profiles, name, now=now, validity=validity, keys=keys)
         governance = Governance.protected(domains).to_xml()
-        signed = authorities.sign(governance, number=1, now=now)
         with _journal.change(root, address=ledger) as transaction:
             cls.refuse_occupied(root)
             transaction.refuse_lines()
             transaction.authorities = authorities
-            public = transaction.folder(layout.PUBLIC, private=False)
-            private = transaction.folder(layout.PRIVATE, private=True)
-            authorities.write(public, private, passphrase)
-            enclaves = transaction.folder(layout.ENCLAVES, private=False)
-            enclaves.public(layout.GOVERNANCE_XML, governance)
-            enclaves.public(layout.GOVERNANCE, signed)
+            for each in authorities.sets:
+                part = transaction.of(each.set_name)
+                stage_cas(part, each, passphrase, now)
+                stage_governance(part, each, governance, now=now)
             beside = transaction.folder(".", private=False)
             beside.public(layout.SETTINGS, settings)
             if gitignore:
                 beside.public(GITIGNORE, keystore_ignored(root))
-            transaction.record(
-                *authorities.entries(now), document_entry("governance", "", signed, now)
-            )
-        return cls(root, profile, domains, to_change=True)
+        return made
 
     @classmethod
     def open(cls, root: Path, *, to_change: bool = False) -> Self:
@@ -140,8 +142,8 @@ class Keystore:
             raise _not_a_keystore(root)
         if to_change:
             _journal.check(root)
-        profile, domains = _settings.read_settings(path)
-        return cls(root, profile, domains, to_change)
+        profiles, domains = _settings.read_settings(path)
+        return cls(root, profiles, domains, to_change)
 
     @classmethod
     def find(cls, root: Path, *, to_change: bool = False) -> Self | None:
@@ -178,9 +180,22 @@ class Keystore:
             raise ExistsError(f"{root} already has {', '.join(taken)}", hint=hint)
 
     @property
+    def profile(self) -> Profile:
+        """The profile of this set."""
+        return next(
+            (each for each in self.profiles if each.name == self.set_name), self.profiles[0]
+        )
+
+    @property
     def folder(self) -> Path:
-        """The folder with `public/`, `private/` and `enclaves/`."""
-        return self.root
+        """The folder with this set's `public/`, `private/` and `enclaves/`."""
+        return self.root / layout.in_set(self.set_name, "")
+
+    @property
+    def sets(self) -> tuple[Self, ...]:
+        """The sets of this keystore, the first one first, each as a value like this one."""
+        names = (layout.FIRST, *(each.name for each in self.profiles[1:]))
+        return tuple(replace(self, set_name=each) for each in names)
 
     @property
     def identity_ca(self) -> Certificate:
@@ -270,18 +285,25 @@ class Keystore:
         `pin` gives the PIN of a token [default: only files that the keys' URIs name]. With `cas`,
         only their keys are read, and can sign; those of others may be on another machine.
         """
-        return unlock(self.folder, self.profile, passphrase, pin, cas)
+        found = [
+            unlock(each.folder, each.profile, passphrase, pin, cas, set_name=each.set_name)
+            for each in self.sets
+        ]
+        return together(found)
 
     def is_locked(self, cas: Collection[SigningCa] = ()) -> bool:
         """Whether a key of `cas`, or of any CA, is encrypted; an adopted keystore may have one."""
-        return any(map(is_encrypted, self._ca_key_files(cas).values()))
+        return any(
+            is_encrypted(data) for each in self.sets for data in _ca_keys(each, cas).values()
+        )
 
     def has_key_files(self, ca: SigningCa) -> bool:
         """Whether all keys of `ca` are in files here, and not in a token or on another machine."""
         try:
-            return not any(map(is_reference, self._ca_key_files((ca,)).values()))
+            files = [data for each in self.sets for data in _ca_keys(each, (ca,)).values()]
         except (FileError, KeystoreError):
             return False
+        return not any(map(is_reference, files))
 
     def key_uris(self, cas: Collection[SigningCa] = ()) -> dict[str, str]:
         """The URIs of the keys of `cas`, or of all CAs, that are not in files, by file name.
@@ -289,15 +311,11 @@ class Keystore:
         MalformedError for a damaged reference; other errors as of `read_ca_key`.
         """
         found = {}
-        for name, data in self._ca_key_files(cas).items():
+        for name, data in _ca_keys(self, cas).items():
             with located(self.folder / layout.PRIVATE / name):
                 if is_reference(data):
                     found[name] = without_pin(uri_in(data))
         return found
-
-    def _ca_key_files(self, cas: Collection[SigningCa] = ()) -> dict[str, bytes]:
-        private = self.folder / layout.PRIVATE
-        return {name: read_ca_key(private / name) for name in ca_key_files(self.profile, cas)}
 
     def names(self) -> list[str]:
         """The participants' names, sorted; FileError if a folder cannot be read."""
@@ -462,7 +480,13 @@ class Keystore:
             root.below(layout.PRIVATE) as private,
             _shared.reading(self.root, root) as database,
         ):
-            return Ledger(database or FileStore(private))
+            return Ledger(database or FileStore(private), self.set_name)
+
+
+def _ca_keys(keystore: Keystore, cas: Collection[SigningCa]) -> dict[str, bytes]:
+    """The files of the keys of `cas`, or of all CAs of that set, by their names."""
+    private = keystore.folder / layout.PRIVATE
+    return {name: read_ca_key(private / name) for name in ca_key_files(keystore.profile, cas)}
 
 
 @contextmanager

@@ -1,6 +1,6 @@
 """The paths of a keystore: SROS2's layout, and the files that post-quantum keys add.
 
-pqsec.json                          profile and default domains
+pqsec.json                          profiles and default domains
 [groups.json]                       the groups of the domain file
 public/   identity_ca.cert.pem permissions_ca.cert.pem [permissions_ca.alt.cert.pem]
           [identity_ca.crl.pem] [ledger.checkpoint ledger.tree]
@@ -9,6 +9,7 @@ private/  identity_ca.key.pem permissions_ca.key.pem [*.alt.key.pem] ledger.sqli
 enclaves/ governance.xml governance.p7s
 enclaves/<path>/  cert.pem key.pem [alt.key.pem] permissions.xml permissions.p7s
                   and links to the governance, the CA certificates, and as crl.pem to the list
+sets/<profile>/   public/ private/ enclaves/ of each further set, without ledger and its heads
 """
 
 import os
@@ -24,6 +25,8 @@ from pqsec_pki.errors import UsageError, shown
 SETTINGS = "pqsec.json"
 GROUPS = "groups.json"
 PUBLIC, PRIVATE, ENCLAVES = "public", "private", credentials.ENCLAVES
+SETS = "sets"
+"""The folder of further sets. Which ones a keystore has is in its settings and its ledger."""
 JOURNAL, PREPARED = ".journal", ".prepared"
 """A change after its commit, and just before it."""
 MOVES = "moves.json"
@@ -62,9 +65,17 @@ OWN = (CERTIFICATE, *KEYS, PERMISSIONS, REQUEST)
 """The files of one participant: a folder with one of them is a participant's."""
 _OWN = frozenset(OWN)
 
+FIRST = ""
+"""The name of the first set of credentials; that of a further one is its profile's."""
+
 _SEGMENT = re.compile(r"[A-Za-z0-9_][A-Za-z0-9_.-]*")
 _RESERVED = re.compile(r".*\.(pem|p7s|xml|p11)")
 """Names like those of files in enclave folders: a folder with such a name could replace one."""
+
+
+def in_set(name: str, place: str) -> str:
+    """The place in the set called `name`, relative to the keystore; `place` is so to the set."""
+    return place if name == FIRST else f"{SETS}/{name}/{place}"
 
 
 @lru_cache(maxsize=64)

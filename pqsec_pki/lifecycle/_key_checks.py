@@ -25,7 +25,8 @@ def refuse_compromised(
 def refuse_shared(
     ledger: Ledger, asked: Mapping[str, Iterable[PublicKey | None]], now: datetime
 ) -> None:
-    """VerificationError if a key in `asked` is in a valid certificate of another participant.
+    """VerificationError if a key in `asked` is in a valid certificate of another participant, or
+    of another set than that of `ledger`.
 
     This happens after a robot's disk was copied: then each robot can impersonate the other.
     Earlier certificates count too: they are valid until they are revoked or expire.
@@ -34,9 +35,14 @@ def refuse_shared(
     for name, keys in asked.items():
         for each in key_hashes(*keys).split():
             _refuse_second(name, holders.setdefault(each, name))
-    for key, other, sha256 in ledger.certified(holders, now.isoformat()):
+    for key, other, set_name, sha256 in ledger.certified(holders, now.isoformat()):
         if not ledger.line_of(("revocation",), sha256):
             _refuse_second(holders[key], other)
+            if set_name != ledger.set_name:
+                raise VerificationError(
+                    f"{other}: its key is in another set of credentials too",
+                    hint="make a key of its own for each set",
+                )
 
 
 def _refuse_second(name: str, holder: str) -> None:

@@ -126,7 +126,7 @@ def _adopted(keystore: Keystore, scan: KeystoreScan, *, fitting: bool) -> Adopte
 def _scanned(root: Path, now: datetime) -> tuple[Keystore, KeystoreScan, bool]:
     """The keystore, its content, and whether the content follows the keystore's profile."""
     profile = _profile(root)
-    keystore = Keystore(root, profile or profile_named("classical"), DomainSet.of(0))
+    keystore = Keystore(root, (profile or profile_named("classical"),), DomainSet.of(0))
     scan = KeystoreScan.of(keystore, now)
     scan.run()
     return replace(keystore, domains=scan.domains), scan, profile is not None
@@ -137,7 +137,7 @@ def _stage(
 ) -> None:
     root = keystore.root
     settings = transaction.folder(".", private=False)
-    settings.public(layout.SETTINGS, settings_file(keystore.profile, keystore.domains))
+    settings.public(layout.SETTINGS, settings_file(keystore.profiles, keystore.domains))
     if gitignore:
         settings.public(GITIGNORE, keystore_ignored(root))
     if not (root / layout.PRIVATE).exists():

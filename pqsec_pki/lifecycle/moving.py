@@ -51,7 +51,7 @@ def move_ledger(keystore: Keystore, target: LedgerAddress | None, *, now: dateti
     with change(keystore.root, address=target) as transaction:
         keystore.refuse_unapproved(Covered.OTHER)
         settings = transaction.folder(".", private=False)
-        settings.public(layout.SETTINGS, settings_file(keystore.profile, keystore.domains, target))
+        settings.public(layout.SETTINGS, settings_file(keystore.profiles, keystore.domains, target))
         joined = _moved(keystore, target, transaction, now)
     with keystore.open_ledger() as ledger:
         return LedgerMove(target.place if target else IN_A_FILE, ledger.size, joined)

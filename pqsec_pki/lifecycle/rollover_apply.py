@@ -124,7 +124,7 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
             transaction.authorities = cas
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
-            new = replace(keystore, profile=plan.terms.profile)
+            new = replace(keystore, profiles=(plan.terms.profile,))
             execution = _Execution(keystore, new, plan, cas, transaction, inspector, lines, now)
             issued, overlap = execution.run(passphrase, ledger), plan.overlap
         else:
@@ -235,7 +235,7 @@ class _Execution:
         settings = self.transaction.folder(".", private=False)
         settings.public(
             layout.SETTINGS,
-            settings_file(self.new.profile, self.new.domains, self.old.ledger_address),
+            settings_file(self.new.profiles, self.new.domains, self.old.ledger_address),
         )
         self.transaction.record(*self.authorities.entries(self.now))
         if overlap:

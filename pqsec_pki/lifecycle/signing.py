@@ -5,7 +5,6 @@ line is written, in one change.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
 
@@ -26,6 +25,7 @@ from pqsec_pki.keystore import (
     faults_of_ledger,
     layout,
     placed_entry,
+    stage_governance,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import stage_permissions
@@ -68,21 +68,16 @@ def sign_governance(
     now: datetime,
     config_digest: str = "",
 ) -> None:
-    """Sign the governance that all participants of the keystore share.
+    """Sign the governance that all participants of the keystore share, the same in all sets.
 
     `config_digest` is copied into the ledger.
     """
     document = governance.to_xml()
     with change(keystore.root, authorities) as transaction:
         refuse_growth(keystore, lambda: [changed_protection(keystore, governance)])
-        signed = authorities.sign(document, number=transaction.number, now=now)
-        enclaves = transaction.folder(layout.ENCLAVES, private=False)
-        enclaves.public(layout.GOVERNANCE_XML, document)
-        enclaves.public(layout.GOVERNANCE, signed)
-        entry = document_entry("governance", "", signed, now)
-        transaction.record(
-            replace(entry, details={"mark": config_digest}) if config_digest else entry
-        )
+        for each in authorities.sets:
+            part = transaction.of(each.set_name)
+            stage_governance(part, each, document, now=now, config_digest=config_digest)
 
 
 def sign_head(keystore: Keystore, authorities: Authorities) -> TreeHead:

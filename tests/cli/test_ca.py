@@ -573,7 +573,7 @@ def test_settings_that_are_none_are_said(pqsec, keystore, content):
 def test_settings_altered_to_break_the_profiles_promise_are_refused(pqsec, keystore, field, name):
     k = keystore("transition")
     settings = json.loads((k / "pqsec.json").read_text())
-    settings["algorithms"][field] = name
+    settings["algorithms"][0][field] = name
     (k / "pqsec.json").write_text(json.dumps(settings))
     pqsec("-k k issue /c --publish x").refused(3, "k/pqsec.json", "promises")
     assert not (k / "enclaves/c").exists()

@@ -257,7 +257,7 @@ def test_another_keystore_does_not_begin_in_a_database_with_lines(first, tmp_pat
 
 
 def test_an_older_pqsec_refuses_the_keystore(first):
-    assert '"format": 2' in (first.root / "pqsec.json").read_text()
+    assert '"format": 4' in (first.root / "pqsec.json").read_text()
 
 
 def test_without_the_tables_it_is_said_how_they_are_made(cluster, tmp_path):

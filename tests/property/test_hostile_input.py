@@ -502,7 +502,7 @@ def keystore(tmp_path_factory):
 
 
 SETTINGS = json.dumps(
-    {"format": 1, "algorithms": profile_named("transition").to_names(), "domains": "0-9"}
+    {"format": 3, "algorithms": [profile_named("transition").to_names()], "domains": "0-9"}
 ).encode()
 JSON = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
@@ -539,7 +539,7 @@ def test_mutated_settings(keystore, data):
 )
 def test_settings_of_any_shape(keystore, change, names):
     settings = json.loads(SETTINGS)
-    settings["algorithms"] |= names
+    settings["algorithms"][0] |= names
     open_with(keystore, json.dumps(settings | change).encode("utf-8", "surrogatepass"))
 
 

@@ -577,9 +577,9 @@ def test_a_place_where_no_folder_can_be_is_refused(tmp_path, make, place):
 
 @pytest.mark.parametrize(
     "settings",
-    ["", "null", "5", "[]", "{", "[" * 100_000, '{"format": 1}', '{"format": 2}', "\0",
-     '{"format": 1, "algorithms": 5, "domains": "0"}',
-     '{"format": 1, "algorithms": [], "domains": "0"}'],
+    ["", "null", "5", "[]", "{", "[" * 100_000, '{"format": 3}', '{"format": 4}', "\0",
+     '{"format": 3, "algorithms": 5, "domains": "0"}',
+     '{"format": 3, "algorithms": [], "domains": "0"}'],
 )  # fmt: skip
 def test_settings_that_are_none_are_refused(keystore, root, settings):
     (root / "pqsec.json").write_text(settings)
@@ -596,7 +596,10 @@ def test_settings_that_are_none_are_refused(keystore, root, settings):
     ]
     + [
         pytest.param({"algorithms": value}, id=f"algorithms {value}")
-        for value in ("classical", {"profile": "classical"}, {"profile": []})
+        for value in (
+            *("classical", {"profile": "classical"}, [{"profile": []}], []),
+            [profile_named("classical").to_names()] * 2,
+        )
     ]
     + [pytest.param({"format": value}, id=f"format {value}") for value in (None, "1", 0, 1e400)],
 )
@@ -609,17 +612,17 @@ def test_altered_settings_are_refused(keystore, root, change):
 
 @pytest.mark.parametrize(
     ("made_by", "words"),
-    [("0.9.0", "made by pqsec 0.9.0, in format 3"), (None, "made by another version of pqsec"),
+    [("0.9.0", "made by pqsec 0.9.0, in format 5"), (None, "made by another version of pqsec"),
      ("\x1b[2J", r"made by pqsec \\u001b\[2J")],
 )  # fmt: skip
 def test_a_keystore_in_a_format_to_come_is_refused_with_the_way_out(keystore, root, made_by, words):
     settings = json.loads((root / "pqsec.json").read_bytes())
     assert settings["pqsec"] == __version__
-    changed = settings | {"format": 3, "pqsec": made_by}
+    changed = settings | {"format": 5, "pqsec": made_by}
     (root / "pqsec.json").write_text(json.dumps(changed))
     with pytest.raises(KeystoreError, match=words) as refused:
         Keystore.open(root)
-    assert f"this is pqsec {__version__}, which reads formats 1 and 2" in str(refused.value)
+    assert f"this is pqsec {__version__}, which reads formats 3 and 4" in str(refused.value)
     assert "backed up before the upgrade" in refused.value.hint
 
 
@@ -801,7 +804,7 @@ def as_nobody(folder, action):
 
 def test_a_folder_where_nothing_may_be_written_is_refused(keystore, root):
     authorities = keystore.unlock(None)
-    here = Keystore(Path(), keystore.profile, keystore.domains)
+    here = Keystore(Path(), keystore.profiles, keystore.domains)
     if os.getuid() == 0:
         os.chown(root, NOBODY, NOBODY)
     root.chmod(0o555)
@@ -816,7 +819,7 @@ def test_a_folder_where_nothing_may_be_written_is_refused(keystore, root):
 
 def test_a_folder_where_nothing_may_be_read_is_refused(keystore, root):
     issue_to(keystore, "/talker")
-    here = Keystore(Path("keystore"), keystore.profile, keystore.domains)
+    here = Keystore(Path("keystore"), keystore.profiles, keystore.domains)
     told = as_nobody(root.parent, lambda: here.participant("/talker"))
     assert told == "FileError: keystore/enclaves/talker/cert.pem: permission denied"
     told = as_nobody(root.parent, lambda: here.unlock(None))

@@ -116,7 +116,7 @@ def test_without_psycopg_the_missing_library_is_named(tmp_path, monkeypatch):
     for name in ("psycopg", "pqsec_pki.keystore._postgres"):
         monkeypatch.setitem(sys.modules, name, None)
     data = settings_file(
-        profile_named("classical"), DomainSet.of(0), LedgerAddress.parse("postgresql://u@h/d")
+        [profile_named("classical")], DomainSet.of(0), LedgerAddress.parse("postgresql://u@h/d")
     )
     (tmp_path / "pqsec.json").write_bytes(data)
     (tmp_path / "private").mkdir(mode=0o700)
@@ -127,11 +127,11 @@ def test_without_psycopg_the_missing_library_is_named(tmp_path, monkeypatch):
 
 @pytest.mark.parametrize(
     ("old", "new"),
-    [('"format": 2', '"format": 1'), ("postgresql:", "mysql:"), ("u@h", f"u:{SECRET}@h")],
+    [('"format": 4', '"format": 3'), ("postgresql:", "mysql:"), ("u@h", f"u:{SECRET}@h")],
 )
 def test_settings_with_another_address_are_refused(tmp_path, old, new):
     data = settings_file(
-        profile_named("classical"), DomainSet.of(0), LedgerAddress.parse("postgresql://u@h/d")
+        [profile_named("classical")], DomainSet.of(0), LedgerAddress.parse("postgresql://u@h/d")
     )
     (tmp_path / "pqsec.json").write_bytes(data.replace(old.encode(), new.encode()))
     (tmp_path / "private").mkdir(mode=0o700)

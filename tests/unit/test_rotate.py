@@ -548,7 +548,7 @@ def test_who_unlocked_the_cas_before_cannot_issue_after(keystore):
 def test_settings_name_the_new_profile(keystore):
     rotated(keystore, "transition")
     settings = json.loads((keystore.root / "pqsec.json").read_text())
-    assert settings["algorithms"]["profile"] == "transition"
+    assert settings["algorithms"][0]["profile"] == "transition"
     assert settings["domains"] == "0"
 
 

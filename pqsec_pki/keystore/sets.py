@@ -1,0 +1,107 @@
+"""The CAs and documents of a keystore's sets of credentials: made, and held together.
+
+Each set is complete: two CAs, a governance and enclaves, all of one profile. A robot that knows
+one set needs nothing of another. What they have in common is the subjects of certificates and the
+content of documents, octet for octet; no key is in two of them.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from datetime import datetime, timedelta
+from typing import TYPE_CHECKING
+
+from pqsec_pki.algorithms import PrivateKey, Profile
+from pqsec_pki.errors import KeystoreError, UsageError
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._entries import document_entry
+from pqsec_pki.keystore._set_change import SetChange
+from pqsec_pki.keystore.authorities import Authorities
+
+if TYPE_CHECKING:
+    from pqsec_pki.keystore.keystore import Keystore
+
+
+def created(
+    profiles: Sequence[Profile],
+    name: str,
+    *,
+    now: datetime,
+    validity: timedelta,
+    keys: Mapping[str, PrivateKey] | None = None,
+) -> Authorities:
+    """New CAs of each profile; those of further sets have the profile's name after `name`.
+
+    `keys` are keys of the first set that are there already. UsageError as of `Authorities.create`,
+    and for such keys if there are further sets: their files have the same names.
+    """
+    if keys and len(profiles) > 1:
+        raise UsageError(
+            "keys in tokens are for a keystore with one profile",
+            hint="create it with one --profile",
+        )
+    first, *others = profiles
+    made = [Authorities.create(first, name, now=now, validity=validity, keys=keys)]
+    made += [further(each, name, now=now, validity=validity) for each in others]
+    return together(made)
+
+
+def further(profile: Profile, name: str, *, now: datetime, validity: timedelta) -> Authorities:
+    """New CAs of a further set: a name of its own for each CA, by which issuers are found."""
+    made = Authorities.create(profile, f"{name} {profile.name}".strip(), now=now, validity=validity)
+    return replace(made, set_name=profile.name)
+
+
+def together(sets: Sequence[Authorities]) -> Authorities:
+    """The CAs of the first set, which know those of the others.
+
+    KeystoreError if two CAs have the same key (CVE-2023-24010).
+    """
+    first, *others = sets
+    cas = [ca for each in sets for ca in each.all]
+    keys = [key.public_key.spki for ca in cas for key in (ca.key, ca.alternative_key) if key]
+    if len(set(keys)) < len(keys):
+        raise KeystoreError(
+            "two CAs of this keystore have the same key (CVE-2023-24010)",
+            hint="replace them by distinct CAs and reissue everything: `pqsec ca rotate`",
+        )
+    return replace(first, others=tuple(others))
+
+
+def stage_cas(
+    part: SetChange, authorities: Authorities, passphrase: bytes | None, now: datetime
+) -> None:
+    """Stage new CAs of a set, with their keys and their lines."""
+    public = part.folder(layout.PUBLIC, private=False)
+    authorities.write(public, part.folder(layout.PRIVATE, private=True), passphrase)
+    part.record(*authorities.entries(now))
+
+
+def stage_governance(
+    part: SetChange,
+    authorities: Authorities,
+    document: bytes,
+    *,
+    now: datetime,
+    config_digest: str = "",
+) -> None:
+    """Sign a set's governance and stage it, with its line, which has `config_digest`."""
+    signed = authorities.sign(document, number=part.number, now=now)
+    enclaves = part.folder(layout.ENCLAVES, private=False)
+    enclaves.public(layout.GOVERNANCE_XML, document)
+    enclaves.public(layout.GOVERNANCE, signed)
+    entry = document_entry("governance", "", signed, now)
+    part.record(replace(entry, details={"mark": config_digest}) if config_digest else entry)
+
+
+def refuse_further_sets(keystore: "Keystore", what: str) -> None:
+    """KeystoreError if the keystore has several sets of credentials.
+
+    For what handles only the first one: it would leave the others behind. `what` is its subject
+    and verb, such as "`pqsec bundle` packs".
+    """
+    if others := keystore.profiles[1:]:
+        names = ", ".join(each.name for each in others)
+        raise KeystoreError(
+            f"this keystore has further sets of credentials ({names}), and {what} only the first",
+            hint="use a keystore with one profile for that",
+        )
