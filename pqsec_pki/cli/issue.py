@@ -313,7 +313,8 @@ def print_issued(
         end = issued[0].not_after
         _printing.note(f"valid only until {said(end)}, when the identity CA expires")
     found = bundles or issued
+    rows = [each.row for each in bundles] or [each.row for one in issued for each in one.sets]
     value: dict[str, object] = {"keystore": keystore.root, "issued": found}
     value |= {"delivery": delivery} if delivery else {}
     late = delivery.lines if delivery and delivery.late else ()
-    _printing.emit(value, [*("  ".join(each.row) for each in found), *late])
+    _printing.emit(value, [*map("  ".join, rows), *late])

@@ -167,10 +167,12 @@ def _lines(  # noqa: PLR0913, PLR0917 -- what there is to tell
     nobody: str,
     more: Sequence[str],
 ) -> Iterator[str]:
-    yield f"keystore         {keystore.root} (profile {keystore.profile.name})"
+    profiles = ", ".join(each.name for each in keystore.profiles)
+    yield f"keystore         {keystore.root} (profile {profiles})"
     for term in standing.shared:
         state = "" if term.state is State.VALID else f", {term.state}"
-        yield f"{_ROLES[term.kind]:<15}  until {end(term.not_after)}{state}"
+        of_set = f" (set {term.set_name})" if term.set_name else ""
+        yield f"{_ROLES[term.kind]:<15}  until {end(term.not_after)}{state}{of_set}"
     counts = [f"{count} {state}" for state, count in standing.counts().items() if count]
     yield f"participants     {', '.join(counts) or nobody}"
     yield from more

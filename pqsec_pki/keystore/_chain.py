@@ -7,7 +7,7 @@ only against a head that was noted elsewhere, or as files of the keystore withou
 import hashlib
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import datetime
 from functools import lru_cache
 from typing import Self, TypeVar
@@ -81,6 +81,12 @@ class Entry:
             issuer=issuer,
             details=dict(details or {}),
         )
+
+    def in_set(self, name: str) -> Self:
+        """This entry, about that set of credentials if its kind is about one."""
+        if not name or self.kind not in OF_A_SET:
+            return self
+        return replace(self, details={**self.details, SET: name})
 
     @property
     def set_name(self) -> str:

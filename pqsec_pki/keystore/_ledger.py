@@ -4,6 +4,7 @@ import json
 import sqlite3
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from copy import copy
 from typing import Any, Self, TypeAlias
 
 from pqsec_pki.errors import KeystoreError
@@ -94,6 +95,12 @@ class Ledger:
     @property
     def _database(self) -> sqlite3.Connection:
         return self._copy.database
+
+    def of(self, set_name: str) -> Self:
+        """The same lines, for questions about that set; until this one is closed."""
+        found = copy(self)
+        found.set_name = set_name
+        return found
 
     def __enter__(self) -> Self:
         return self

@@ -1,11 +1,10 @@
 """The part of a staged change that is about one set of credentials."""
 
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.keystore import layout
-from pqsec_pki.keystore._chain import OF_A_SET, SET, Entry
+from pqsec_pki.keystore._chain import Entry
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._transaction import StagedFolder, Transaction
@@ -44,12 +43,7 @@ class SetChange:
 
     def record(self, *entries: Entry) -> None:
         """Add entries for the ledger; those of kinds that are of a set get its name."""
-        self.transaction.record(*map(self._named, entries))
+        self.transaction.record(*(each.in_set(self.set_name) for each in entries))
 
     def _place(self, place: str) -> str:
         return layout.in_set(self.set_name, place)
-
-    def _named(self, entry: Entry) -> Entry:
-        if self.set_name == layout.FIRST or entry.kind not in OF_A_SET:
-            return entry
-        return replace(entry, details={**entry.details, SET: self.set_name})

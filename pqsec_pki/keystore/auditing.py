@@ -20,6 +20,7 @@ from pqsec_pki.keystore._chain import START, Entry, Line, problems
 from pqsec_pki.keystore._ledger import PLACE
 from pqsec_pki.keystore._replaced_cas import expected_cas
 from pqsec_pki.keystore.anchoring import head_problems, ledger_tree, read_anchors
+from pqsec_pki.keystore.heads import other_sets
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import TRUST, trusted_last
 
@@ -55,7 +56,9 @@ def audit(
             hint="name the folder that has them; `pqsec log --anchor` writes the newest one",
         )
     broken = [*problems(lines), *_head_problems(lines, head)]
-    found = [*broken, *_unknown(keystore, lines)]
+    found = [*broken, *_other_sets(keystore)]
+    for each in keystore.sets:
+        found += _unknown(each, [line for line in lines if line.entry.set_name == each.set_name])
     if there or not broken:  # a broken chain says more than the newest head
         found += head_problems(keystore, ledger_tree(keystore), there)
     if found:
@@ -65,6 +68,13 @@ def audit(
             " access changed it",
         )
     return len(lines), lines[-1].chain if lines else START
+
+
+def _other_sets(keystore: Keystore) -> Iterator[str]:
+    """The error if the settings name other sets of credentials than the ledger has."""
+    with keystore.open_ledger() as ledger:
+        if wrong := other_sets(keystore.root, ledger):
+            yield str(wrong)
 
 
 def _head_problems(lines: list[Line], head: str | None) -> Iterator[str]:
@@ -80,16 +90,18 @@ def older_copies(keystore: Keystore) -> list[Path]:
     older file. Errors as of `audit`.
     """
     keystore = keystore.as_found
-    newest = _Newest.of(keystore, keystore.lines())
+    lines, found = keystore.lines(), list[Path]()
     with disk_errors(keystore.root):
-        return [
-            path for path, kind, name in _issued(keystore) if newest.is_beyond(path, kind, name)
-        ]
+        for each in keystore.sets:
+            own = [line for line in lines if line.entry.set_name == each.set_name]
+            newest = _Newest.of(each, own)
+            found += [path for path, *what in _issued(each) if newest.is_beyond(path, *what)]
+    return found
 
 
 @dataclass(frozen=True, slots=True)
 class _Newest:
-    """The newest lines about files."""
+    """The newest lines about the files of one set."""
 
     numbers: dict[tuple[str, str], int]
     """The number of each line, by its kind and SHA-256."""
@@ -129,7 +141,7 @@ def _own_name(entry: Entry) -> str:
 
 
 def _unknown(keystore: Keystore, lines: list[Line]) -> Iterator[str]:
-    """The files of the keystore that have no line in the ledger, or a wrong one."""
+    """The files of the set that have none of these lines, which are about it, or a wrong one."""
     entries = [line.entry for line in lines]
     known = {(each.kind, _line_name(each.kind, each.name), each.sha256) for each in entries}
     trusted, shared = trusted_last(entries), keystore.ledger_address is not None

@@ -119,7 +119,7 @@ def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, Ke
     head = read(path) if exists(path) else b""  # first: other machines add lines meanwhile
     ledger = open_ledger()
     try:
-        wrong = _other_sets(root, ledger)
+        wrong = other_sets(root, ledger)
         if not wrong and head and not ledger.fits(head):
             wrong = _difference(root, ledger, head)
     except BaseException:
@@ -130,7 +130,7 @@ def _compared(root: Path, open_ledger: Callable[[], Ledger]) -> tuple[Ledger, Ke
     return ledger, wrong
 
 
-def _other_sets(root: Path, ledger: Ledger) -> KeystoreError | None:
+def other_sets(root: Path, ledger: Ledger) -> KeystoreError | None:
     """The error if the settings, which nobody signs, name other sets than the ledger has."""
     named, known = {*set_names(root)}, {layout.FIRST, *ledger.sets()}
     if named == known:

@@ -5,6 +5,7 @@ parsed. Files are compared with the ledger only if asked for (`_file_comparison.
 """
 
 from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from enum import StrEnum
 from sys import intern
@@ -28,6 +29,9 @@ class State(StrEnum):
     """It begins later: it was made when the clock was ahead, or the clock is behind now."""
     PREVIOUS_CA = "previous-ca"
     """It was issued by an identity CA that has been replaced."""
+    INCOMPLETE = "incomplete"
+    """It has no certificate in one of the keystore's sets of credentials, or one that is gone or
+    revoked while that of another set is not."""
     DUE = "due"
     VALID = "valid"
     REVOKED = "revoked"
@@ -111,6 +115,8 @@ class ParticipantState:
     permissions_line: int
     """The number of their ledger line; 0 if none are known."""
     files: Files
+    further: "tuple[ParticipantState, ...]" = ()
+    """Its states in the further sets of credentials; `state` and `files` are those of all sets."""
 
     def is_on(self, domain: int) -> bool:
         """Whether `domains` has this domain; False if the domains are not known."""
@@ -131,6 +137,7 @@ class ParticipantState:
             "profile": self.profile,
             "domains": self.domains,
             "serial": self.serial,
+            "further": [each.to_json() for each in self.further],
         }
 
 
@@ -197,6 +204,34 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
             permissions_line=line,
             files=files,
         )
+
+
+def in_all_sets(
+    sets: Sequence[Sequence[ParticipantState]],
+) -> list[ParticipantState]:
+    """The states of participants in all sets, by name, of those in each set, the first one first.
+
+    The most urgent state of a participant is its state, and the most urgent comparison of files.
+    """
+    found: dict[str, list[ParticipantState]] = {}
+    for each in (state for of_set in sets for state in of_set):
+        found.setdefault(each.name, []).append(each)
+    return [_joined(found[name], len(sets)) for name in sorted(found)]
+
+
+def _joined(states: Sequence[ParticipantState], count: int) -> ParticipantState:
+    ends = {State.REVOKED, State.GONE, State.ELSEWHERE}
+    ended = [each.state for each in states if each.state in ends]
+    all_of = [each.state for each in states]
+    if len(states) < count or (ended and len({*all_of}) > 1):
+        all_of = [State.INCOMPLETE, *(each for each in all_of if each not in ends)]
+    wrong = (each.files for each in states if each.files is not Files.RIGHT)
+    return replace(
+        states[0],
+        state=min(all_of, key=list(State).index),
+        files=next(wrong, Files.RIGHT),
+        further=tuple(states[1:]),
+    )
 
 
 def _state(by_time: State, files: Files, *, revoked: bool, previous: bool) -> State:

@@ -22,7 +22,12 @@ from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.keystore.patterns import nearest
 from pqsec_pki.keystore.signing_clock import signed_later
-from pqsec_pki.keystore.states import ParticipantState, State, participant_states
+from pqsec_pki.keystore.states import (
+    ParticipantState,
+    State,
+    in_all_sets,
+    participant_states,
+)
 from pqsec_pki.smime import document_in
 
 _URGENCY = {state: place for place, state in enumerate(State)}
@@ -37,6 +42,8 @@ class SharedStatus:
     name: str
     state: State
     not_after: datetime
+    set_name: str
+    """The set of credentials; empty for the first one."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,13 +99,16 @@ class Status:
 
     @property
     def revocation_list(self) -> SharedStatus | None:
-        """The state of the revocation list; None if there is none."""
-        return next((each for each in self.shared if each.kind == "crl"), None)
+        """The state of the revocation list, the most urgent of all sets; None if there is none."""
+        lists = [each for each in self.shared if each.kind == "crl"]
+        lost = next((each for each in lists if each.state is State.GONE), None)
+        return lost or min(lists, key=lambda each: _URGENCY[each.state], default=None)
 
     @property
     def list_is_due(self) -> bool:
-        """Whether there is a revocation list that is due."""
-        return bool(self.revocation_list and self.revocation_list.state.calls_for_renewal)
+        """Whether there is a revocation list that is due, or one of several is gone."""
+        state = self.revocation_list.state if self.revocation_list else State.VALID
+        return state.calls_for_renewal or state is State.GONE
 
 
 def status(
@@ -109,29 +119,55 @@ def status(
     due: timedelta | None = None,
     compare_files: bool = False,
 ) -> Status:
-    """The state of all participants, or of `names` only, and of the CAs and the list at `now`.
+    """The state of all participants, or of `names` only, and of the CAs and lists at `now`.
 
+    A participant has one state in all sets of credentials, as of `in_all_sets`.
     `due` is as in `State.at`. With `compare_files` the participants' files are compared with
     the ledger; without, they are only missed if they are gone. KeystoreError for a name that is
     not in the ledger.
     """
     wanted = None if names is None else list(dict.fromkeys(map(layout.enclave_name, names)))
-    comparison = FileComparison.of(keystore) if compare_files else None
-    compare = comparison.compare if comparison else presence(keystore)
     with keystore.open_ledger() as ledger, disk_errors(keystore.root):
-        head = ledger.head
-        found = list(
-            participant_states(keystore, ledger, wanted, now=now, due=due, compare=compare)
-        )
+        head, sets, shared = ledger.head, [], list[SharedStatus]()
+        for each in keystore.sets:
+            own = ledger.of(each.set_name)
+            sets.append(_participants(each, own, wanted, now, due, compare_files=compare_files))
+            shared += _authorities(each, now, due)
+            shared += _lists(each, own, now, due)
+        found = in_all_sets(sets) if len(sets) > 1 else sets[0]
         if wanted is not None:
             _refuse_unknown(ledger, wanted, found)
-        crl = list_status(keystore, ledger, now=now, due=due)
         future = tuple(signed_later(ledger, now))
+    found.sort(key=lambda each: (_URGENCY[each.state], each.not_after, each.name))
+    return Status(now, tuple(shared), tuple(found), head, future)
+
+
+def _participants(  # noqa: PLR0913 -- as `status`
+    keystore: Keystore,
+    ledger: Ledger,
+    names: list[str] | None,
+    now: datetime,
+    due: timedelta | None,
+    *,
+    compare_files: bool,
+) -> list[ParticipantState]:
+    """The states in one set, by name."""
+    comparison = FileComparison.of(keystore) if compare_files else None
+    compare = comparison.compare if comparison else presence(keystore)
+    found = list(participant_states(keystore, ledger, names, now=now, due=due, compare=compare))
     if comparison and keystore.to_change:
         comparison.save()
-    found.sort(key=lambda each: (_URGENCY[each.state], each.not_after, each.name))
-    shared = (*_authorities(keystore, now, due), *filter(None, [crl]))
-    return Status(now, shared, tuple(found), head, future)
+    return found
+
+
+def _lists(
+    keystore: Keystore, ledger: Ledger, now: datetime, due: timedelta | None
+) -> Iterator[SharedStatus]:
+    """The state of the set's list; GONE if its file is missing beside those of other sets."""
+    if found := list_status(keystore, ledger, now=now, due=due):
+        yield found
+    elif len(keystore.sets) > 1 and (lost := ledger.of_kind("crl")[-1:]):
+        yield replace(_shared(lost[0], now, due), state=State.GONE)
 
 
 def list_status(
@@ -190,13 +226,19 @@ def _authorities(
     for kind, each in zip(kinds, (keystore.identity_ca, *others), strict=True):
         if each:
             entry = certificate_entry(kind, each.subject_name, each, each.not_before)
-            yield _shared(entry, now, due)
+            yield replace(_shared(entry, now, due), set_name=keystore.set_name)
 
 
 def _shared(entry: Entry, now: datetime, due: timedelta | None) -> SharedStatus:
     begin = entry.made_at - BACKDATE if entry.kind == "crl" else entry.made_at
     state = State.at(now, entry.made_at, entry.ends, due, begin=begin)
-    return SharedStatus(kind=entry.kind, name=entry.name, state=state, not_after=entry.ends)
+    return SharedStatus(
+        kind=entry.kind,
+        name=entry.name,
+        state=state,
+        not_after=entry.ends,
+        set_name=entry.set_name,
+    )
 
 
 def _refuse_unknown(ledger: Ledger, wanted: list[str], found: list[ParticipantState]) -> None:

@@ -10,6 +10,7 @@ Participants and documents:
     permitting    changes single rights of participants
     growing       whether documents to be signed give more than those that are signed
     revoking      revokes certificates and issues revocation lists
+    _sets         what these changes do in each set of credentials
 CAs:
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs

@@ -49,6 +49,15 @@ class Issued:
     permissions_size: int
     """Bytes of permissions.p7s, which is sent in every handshake; 0 if it is not signed yet."""
     entries: tuple[Entry, ...] = field(repr=False)
+    profile: str
+    """That of the set of credentials."""
+    further: tuple["Issued", ...] = ()
+    """What was issued to it in the further sets."""
+
+    @property
+    def sets(self) -> "tuple[Issued, ...]":
+        """What was issued in each set, the first one first."""
+        return (self, *self.further)
 
     @property
     def row(self) -> tuple[str, str, str]:
@@ -64,6 +73,7 @@ class Issued:
             "not_after": self.not_after,
             "certificate_bytes": self.certificate_size,
             "permissions_bytes": self.permissions_size,
+            "further": [{"profile": each.profile, **each.to_json()} for each in self.further],
         }
 
 
@@ -125,6 +135,7 @@ class Issuer:
             certificate_size=len(certificate.pem),
             permissions_size=len(signed),
             entries=tuple(entries),
+            profile=self.keystore.profile.name,
         )
 
     def _certificate_entry(

@@ -4,27 +4,31 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime, timedelta
 from functools import partial
+from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import PrivateKey, PublicKey
 from pqsec_pki.approvals import Covered
-from pqsec_pki.certificates import Certificate, common_name, end_of
+from pqsec_pki.certificates import Authority, Certificate, common_name, end_of
 from pqsec_pki.documents import DomainSet, Grant, Permissions
 from pqsec_pki.errors import ExistsError, KeystoreError, UsageError, VerificationError
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
     Keystore,
+    SetChange,
     StagedFolder,
     Transaction,
     change,
     compromised_keys_in,
     layout,
     participant_states,
+    refuse_further_sets,
 )
 from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_compromised, refuse_shared
+from pqsec_pki.lifecycle._sets import SetWork, common_validity, each_set
 
 _SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
 
@@ -74,7 +78,7 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     sign_permissions: bool = True,
     records: Sequence[Entry] = (),
 ) -> list[Issued]:
-    """Issue all participants in `specs`, or none if one fails.
+    """Issue all participants in `specs`, or none if one fails, in all sets of credentials.
 
     Without `sign_permissions` they get certificates only, which needs no key of the permissions
     CA; `changed_permissions` and `sign_changed` give them rights. `records` are lines for the
@@ -86,73 +90,109 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     would be followed by one in a file, unless the spec `leaves_token`.
     """
     specs = _checked(keystore, specs, force=force)
-    with change(keystore.root, authorities) as transaction:
+    if any(spec.keys or spec.outside for spec in specs):
+        refuse_further_sets(keystore, "a request or a key in a token is for")
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.GROW)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
-        if not after_revocation:
-            _refuse_revoked(keystore, specs, now)
-        _refuse_keys(keystore, specs, now, compromised=compromised_keys)
+        sets = each_set(keystore, authorities, transaction, ledger)
+        for each in sets:
+            if not after_revocation:
+                _refuse_revoked(each, specs, now)
+            _refuse_keys(each, specs, now, compromised=compromised_keys)
+            _refuse_files(each.keystore, specs)
         _refuse_ca_keys(authorities, specs)
-        _refuse_files(keystore, specs)
-        shared = shared_files(keystore, authorities)
-        folders = [
-            transaction.folder(layout.enclave_folder(spec.name), private=True) for spec in specs
-        ]
+        folders = [[each.folder(spec.name, private=True) for each in sets] for spec in specs]
         for spec in specs:
-            _clear(transaction, spec)
-        issuer = Issuer(keystore, authorities, transaction.number, now)
-        make = partial(_make, issuer, shared, sign_permissions=sign_permissions)
+            for each in sets:
+                _clear(each.part, spec)
+        makers = [_Maker.of(each, transaction.number, now) for each in sets]
+        make = partial(_issued, makers, sign_permissions=sign_permissions)
         issued = shared_out(make, specs, folders)
         transaction.record(*records)
-        for each in issued:
-            transaction.record(*each.entries)
+        for participant in issued:
+            for each, made in zip(sets, participant.sets, strict=True):
+                each.part.record(*made.entries)
     return issued
 
 
-def _make(
-    issuer: Issuer,
-    shared: dict[str, str],
+@dataclass(frozen=True, slots=True)
+class _Maker:
+    """Issues participants in one set."""
+
+    issuer: Issuer
+    shared: dict[str, str]
+    """The shared files that its enclaves link to."""
+
+    @classmethod
+    def of(cls, work: SetWork, number: int, now: datetime) -> Self:
+        issuer = Issuer(work.keystore, work.authorities, number, now)
+        return cls(issuer, shared_files(work.keystore, work.authorities))
+
+    def certificate(
+        self, spec: ParticipantSpec, folder: StagedFolder, validity: timedelta
+    ) -> tuple[Certificate, str | None]:
+        """A certificate for new keys or for those of a request, and the hash of that."""
+        issuer = self.issuer
+        keys = spec.keys or issuer.new_keys(folder, spec.outside)
+        certificate = issuer.authorities.identity.issue(
+            spec.name,
+            keys.key,
+            alternative=keys.alternative,
+            number=issuer.number,
+            now=issuer.now,
+            validity=validity,
+        )
+        if keys.csr:
+            folder.public(layout.REQUEST, keys.csr)
+        there = issuer.keystore.folder
+        for link, target in layout.missing_links(there, spec.name, self.shared).items():
+            folder.link(link, target)
+        return certificate, keys.request
+
+
+def _identity(makers: Iterable[_Maker]) -> list[Authority]:
+    return [each.issuer.authorities.identity for each in makers]
+
+
+def _issued(
+    makers: Sequence[_Maker],
     spec: ParticipantSpec,
-    folder: StagedFolder,
+    folders: Sequence[StagedFolder],
     *,
     sign_permissions: bool,
 ) -> Issued:
-    keys = spec.keys or issuer.new_keys(folder, spec.outside)
-    certificate = issuer.authorities.identity.issue(
-        spec.name,
-        keys.key,
-        alternative=keys.alternative,
-        number=issuer.number,
-        now=issuer.now,
-        validity=spec.validity,
-    )
-    if keys.csr:
-        folder.public(layout.REQUEST, keys.csr)
-    for link, target in layout.missing_links(issuer.keystore.folder, spec.name, shared).items():
-        folder.link(link, target)
-    permissions = permissions_for(spec, certificate) if sign_permissions else None
-    asked = end_of(issuer.now, spec.validity)
-    return issuer.stage(
-        folder,
-        spec.name,
-        certificate,
-        permissions,
-        asked=asked,
-        config_digest=spec.config_digest,
-        request=keys.request,
-    )
+    """The participant in all sets: keys and certificates of each, and the same permissions."""
+    now, permissions, made = makers[0].issuer.now, None, []
+    validity = common_validity(_identity(makers), now, spec.validity)
+    asked = end_of(now, spec.validity)
+    for maker, folder in zip(makers, folders, strict=True):
+        certificate, request = maker.certificate(spec, folder, validity)
+        if sign_permissions and permissions is None:
+            permissions = permissions_for(spec, certificate)
+        issued = maker.issuer.stage(
+            folder,
+            spec.name,
+            certificate,
+            permissions,
+            asked=asked,
+            config_digest=spec.config_digest,
+            request=request,
+        )
+        made.append(issued)
+    return replace(made[0], further=tuple(made[1:]))
 
 
-def _clear(transaction: Transaction, spec: ParticipantSpec) -> None:
+def _clear(part: SetChange, spec: ParticipantSpec) -> None:
     """Remove files of the participant's previous keys: they do not belong to the new ones."""
     folder = layout.enclave_folder(spec.name)
     if spec.keys is None:
-        transaction.remove(f"{folder}/{layout.REQUEST}")
+        part.remove(f"{folder}/{layout.REQUEST}")
         return
-    clear_keys(transaction, folder)
+    clear_keys(part, folder)
 
 
-def clear_keys(transaction: Transaction, folder: str) -> None:
+def clear_keys(transaction: Transaction | SetChange, folder: str) -> None:
     """Remove the private keys in the folder of a participant whose keys are elsewhere now."""
     for key in layout.KEYS:
         transaction.shred(f"{folder}/{key}")
@@ -224,7 +264,7 @@ def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, forc
             f"already issued on another machine with this ledger: {', '.join(elsewhere)}",
             hint="work there; --force issues it here, with new key, certificate and permissions",
         )
-    if there := list(filter(keystore.has, names)):
+    if there := [name for name in names if any(each.has(name) for each in keystore.sets)]:
         raise ExistsError(
             f"already issued: {', '.join(there)}",
             hint="`pqsec permit` changes rights and `pqsec renew` renews; --force replaces key,"
@@ -233,7 +273,7 @@ def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, forc
 
 
 def _refuse_keys(
-    keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime, *, compromised: bool
+    work: SetWork, specs: Iterable[ParticipantSpec], now: datetime, *, compromised: bool
 ) -> None:
     """VerificationError for requested keys that are compromised or another participant's."""
     asked: dict[str, list[PublicKey | None]] = {
@@ -242,17 +282,16 @@ def _refuse_keys(
         if (outside := [*spec.outside.values()]) or spec.keys
     }
     if asked:
-        with keystore.open_ledger() as ledger:
-            known = {} if compromised else compromised_keys_in(keystore.folder, ledger)
-            for name, keys in asked.items():
-                refuse_compromised(known, name, keys)
-            refuse_shared(ledger, asked, now)
+        known = {} if compromised else compromised_keys_in(work.keystore.folder, work.ledger)
+        for name, keys in asked.items():
+            refuse_compromised(known, name, keys)
+        refuse_shared(work.ledger, asked, now)
 
 
 def _refuse_ca_keys(authorities: Authorities, specs: Iterable[ParticipantSpec]) -> None:
     """VerificationError for a CA's key in a token: a participant could issue certificates."""
-    cas = (authorities.identity, authorities.permissions, authorities.countersigner)
-    known = {key.public_key.spki for ca in cas if ca for key in (ca.key, ca.alternative_key) if key}
+    cas = [ca for each in authorities.sets for ca in each.all]
+    known = {key.public_key.spki for ca in cas for key in (ca.key, ca.alternative_key) if key}
     for spec in specs:
         if any(key.public_key.spki in known for key in spec.outside.values()):
             raise VerificationError(
@@ -274,10 +313,10 @@ def _refuse_files(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
             )
 
 
-def _refuse_revoked(keystore: Keystore, specs: Iterable[ParticipantSpec], now: datetime) -> None:
-    with keystore.open_ledger() as ledger:
-        states = participant_states(keystore, ledger, [spec.name for spec in specs], now=now)
-        names = [each.name for each in states if each.revoked]
+def _refuse_revoked(work: SetWork, specs: Iterable[ParticipantSpec], now: datetime) -> None:
+    names = [spec.name for spec in specs]
+    states = participant_states(work.keystore, work.ledger, names, now=now)
+    names = [each.name for each in states if each.revoked]
     if names:
         raise KeystoreError(
             f"revoked: {', '.join(names)}",

@@ -27,14 +27,17 @@ def change_passphrase(
                 "the identity CA that will issue next would keep the old passphrase",
                 hint=overlap.next_step,
             )
-        folder = transaction.folder(layout.PRIVATE, private=True)
-        authorities.write_keys(folder, passphrase)
-        paths = [keystore.folder / layout.PRIVATE / name for name in folder.names]
-        for path in paths:
-            if path.is_symlink():
-                raise KeystoreError(
-                    f"{path} is a link: the key that it leads to would not change",
-                    hint="replace the link with the key itself",
-                )
-            transaction.shred(f"{layout.PRIVATE}/{path.name}")
+        paths = []
+        for each, cas in zip(keystore.sets, authorities.sets, strict=True):
+            part = transaction.of(each.set_name)
+            folder = part.folder(layout.PRIVATE, private=True)
+            cas.write_keys(folder, passphrase)
+            for path in (each.folder / layout.PRIVATE / name for name in folder.names):
+                if path.is_symlink():
+                    raise KeystoreError(
+                        f"{path} is a link: the key that it leads to would not change",
+                        hint="replace the link with the key itself",
+                    )
+                part.shred(f"{layout.PRIVATE}/{path.name}")
+                paths.append(path)
     return paths

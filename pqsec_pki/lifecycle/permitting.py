@@ -25,7 +25,12 @@ from pqsec_pki.keystore import (
     superseded_certificates,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
-from pqsec_pki.lifecycle._issuer import stage_permissions
+from pqsec_pki.lifecycle._sets import (
+    document_folders,
+    each_set,
+    record_in_sets,
+    sign_in_sets,
+)
 from pqsec_pki.lifecycle.growing import refuse_growth
 
 
@@ -92,7 +97,7 @@ def sign_changed(
     *,
     now: datetime,
 ) -> None:
-    """Sign the new permissions of all participants in `changes`, or of none.
+    """Sign the new permissions of all participants in `changes`, or of none, in all their sets.
 
     KeystoreError as in `changed_permissions`, and if permissions have changed since.
     """
@@ -101,19 +106,21 @@ def sign_changed(
         refuse_growth(keystore, lambda: (permissions_diff(each.old, each.new) for each in changes))
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
-        folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
-        number = transaction.number
+        sets = each_set(keystore, authorities, transaction, ledger)
+        folders, number = document_folders(sets, names), transaction.number
 
-        def sign(wanted: PermissionsChange, folder: StagedFolder) -> Entry:
+        def sign(
+            wanted: PermissionsChange, folders: Sequence[StagedFolder | None]
+        ) -> list[Entry | None]:
             there = keystore.folder / layout.enclave_folder(wanted.name)
             if _signed(inspector, wanted.name, there) != wanted.old:
                 raise KeystoreError(
                     f"the permissions of {wanted.name} were changed by another command",
                     hint="run this command again: it shows the change to the new permissions",
                 )
-            _, entry = stage_permissions(
-                folder,
+            return sign_in_sets(
                 authorities,
+                folders,
                 wanted.name,
                 wanted.new,
                 number=number,
@@ -121,9 +128,9 @@ def sign_changed(
                 subject=wanted.subject,
                 config_digest=PERMITTED + wanted.config_digest,
             )
-            return entry
 
-        transaction.record(*shared_out(sign, changes, folders))
+        for entries in shared_out(sign, changes, folders):
+            record_in_sets(sets, entries)
 
 
 def _changed(

@@ -8,6 +8,7 @@ verified; they must be the newest in the ledger.
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
+from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
@@ -15,7 +16,7 @@ from pqsec_pki._processes import shared_out
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
-from pqsec_pki.certificates import BACKDATE, Certificate, end_of
+from pqsec_pki.certificates import BACKDATE, Authority, Certificate, end_of
 from pqsec_pki.documents import Grant, Permissions
 from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
 from pqsec_pki.keystore import (
@@ -30,7 +31,8 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_compromised
-from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
+from pqsec_pki.lifecycle._sets import SetWork, common_validity, each_set
+from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, publish
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,8 @@ def renew(
 ) -> list[Issued]:
     """Issue a new certificate and new permissions to all participants in `names`, or to none.
 
-    A revocation list that is due is issued again too. New keys that were asked for, and a longer
+    In each set of credentials that they have, with the same permissions. Revocation lists are
+    issued again too if one is due. New keys that were asked for, and a longer
     validity, are rights that grow. KeystoreError for a participant that does
     not exist, was revoked, or has files that are not its newest; VerificationError for
     permissions that the CA did not sign.
@@ -71,22 +74,33 @@ def renew(
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         longer = terms.validity and lasts_longer(keystore, regular, terms.validity)
         keystore.refuse_unapproved(Covered.GROW if longer or terms.rekey else Covered.OTHER)
-        inspector = Inspector.of(keystore, ledger, regular, now=now)
-        inspector.refuse_revoked(regular)
-        inspector.refuse_previous_ca(regular)
-        folders = [
-            transaction.folder(layout.enclave_folder(name), private=False) for name in regular
-        ]
-        issuer = Issuer(keystore, authorities, transaction.number, now)
-        renewer = Renewer(issuer, inspector, terms)
+        sets = each_set(keystore, authorities, transaction, ledger)
+        renewer = _renewer(sets, regular, terms, transaction.number, now)
+        folders = [renewer.folders(sets, name) for name in regular]
         renewed = shared_out(renewer.make, regular, folders)
-        for each in renewed:
-            transaction.record(*each.entries)
-        crl = list_status(keystore, ledger, now=now, due=terms.due)
-        if crl and crl.state.calls_for_renewal:
-            publisher = Publisher(keystore, authorities.identity, ledger, now)
-            publisher.publish(transaction, [], LIST_VALIDITY)
+        parts = {each.keystore.profile.name: each.part for each in sets}
+        for each in (made for participant in renewed for made in participant.sets):
+            parts[each.profile].record(*each.entries)
+        lists = [list_status(each.keystore, each.ledger, now=now, due=terms.due) for each in sets]
+        there = [each for each in lists if each]
+        lost = there and len(there) < len(sets)
+        if lost or any(each.state.calls_for_renewal for each in there):
+            publish(sets, [], LIST_VALIDITY, now)
     return renewed
+
+
+def _renewer(
+    sets: Sequence[SetWork], names: Sequence[str], terms: Renewal, number: int, now: datetime
+) -> "Renewer":
+    """The renewer of the first set, with those of the others; refuses what cannot be renewed."""
+    made: list[Renewer] = []
+    for each in reversed(sets):
+        inspector = Inspector.of(each.keystore, each.ledger, names, now=now)
+        inspector.refuse_revoked(names)
+        inspector.refuse_previous_ca(names)
+        issuer = Issuer(each.keystore, each.authorities, number, now)
+        made = [Renewer(issuer, inspector, terms, tuple(made)), *made]
+    return made[0]
 
 
 def _shows_new_keys(keystore: Keystore) -> bool:
@@ -102,35 +116,70 @@ class Renewer:
     issuer: Issuer
     inspector: Inspector
     terms: Renewal
+    others: "tuple[Renewer, ...]" = ()
+    """Those of the further sets."""
 
-    def make(self, name: str, folder: StagedFolder) -> Issued:
-        """Stage certificate, permissions and, if new, the keys into `folder`."""
-        keystore, now = self.issuer.keystore, self.issuer.now
-        there = keystore.folder / layout.enclave_folder(name)
+    def folders(self, sets: Sequence[SetWork], name: str) -> list[StagedFolder | None]:
+        """Stage the participant's folder in each set; None where it has no certificate yet."""
+        has = [True, *(name in each.inspector.participants for each in self.others)]
+        staged = zip(sets, has, strict=True)
+        return [each.folder(name, private=False) if there else None for each, there in staged]
+
+    def make(self, name: str, folders: Sequence[StagedFolder | None]) -> Issued:
+        """Stage certificate, permissions and, if new, the keys, into the folder of each set.
+
+        The permissions of this set, for the new certificate's time, are those of all.
+        """
+        now, there = self.issuer.now, self._there(name)
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
             signs = self.terms.sign_permissions
             allowed = self.inspector.permissions(name, there) if signs else None
-            rekey = self._rekey(name, keystore.has_key(name))
+        wanted = self.terms.validity or _length(old)
+        validity = common_validity(self._cas, now, wanted)
+        permissions, digest, made = None, "", list[Issued]()
+        for each, folder in zip((self, *self.others), folders, strict=True):
+            if folder is None:
+                continue
+            certificate = each.certificate(name, folder, validity)
+            if allowed and permissions is None:
+                grants = tuple(_moved(grant, old, certificate) for grant in allowed.grants)
+                permissions = Permissions(grants=grants)
+                digest = self.inspector.config_digest(name, there)
+            made.append(
+                each.issuer.stage(
+                    folder,
+                    name,
+                    certificate,
+                    permissions,
+                    asked=end_of(now, wanted),
+                    config_digest=digest,
+                )
+            )
+        return replace(made[0], further=tuple(made[1:]))
+
+    def certificate(self, name: str, folder: StagedFolder, validity: timedelta) -> Certificate:
+        """The next certificate of this set; stages its keys, if they are new."""
+        there = self._there(name)
+        with disk_errors(there):
+            old = self.inspector.certificate(name, there)
+            rekey = self._rekey(name, self.issuer.keystore.has_key(name))
             keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
-        validity = self.terms.validity or _length(old)
-        certificate = self.issuer.authorities.identity.issue(
+        return self.issuer.authorities.identity.issue(
             name,
             keys.key,
             alternative=keys.alternative,
             number=self.issuer.number,
-            now=now,
+            now=self.issuer.now,
             validity=validity,
         )
-        permissions, config_digest = None, ""
-        if allowed:
-            grants = tuple(_moved(grant, old, certificate) for grant in allowed.grants)
-            permissions = Permissions(grants=grants)
-            config_digest = self.inspector.config_digest(name, there)
-        asked = end_of(now, validity)
-        return self.issuer.stage(
-            folder, name, certificate, permissions, asked=asked, config_digest=config_digest
-        )
+
+    @property
+    def _cas(self) -> list[Authority]:
+        return [each.issuer.authorities.identity for each in (self, *self.others)]
+
+    def _there(self, name: str) -> Path:
+        return self.issuer.keystore.folder / layout.enclave_folder(name)
 
     def _rekey(self, name: str, has_key: bool) -> bool:  # noqa: FBT001 -- of this module only
         if self.terms.rekey and not has_key:

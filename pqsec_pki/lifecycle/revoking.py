@@ -7,6 +7,7 @@ each enclave links to it, so one rename gives all enclaves the new list.
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime, timedelta
+from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
@@ -25,7 +26,7 @@ from pqsec_pki.keystore import (
     Entry,
     Keystore,
     Ledger,
-    Transaction,
+    SetChange,
     certificate_entry,
     change,
     layout,
@@ -34,7 +35,9 @@ from pqsec_pki.keystore import (
     refuse_overlap,
     superseded_in,
 )
+from pqsec_pki.lifecycle._sets import SetWork, each_set
 
+OfSet: TypeAlias = tuple[Keystore, Ledger]
 COMPROMISE = "compromise"
 """The kind of ledger lines that change the reason of an earlier revocation to keyCompromise."""
 
@@ -83,8 +86,9 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     now: datetime,
     validity: timedelta = LIST_VALIDITY,
 ) -> tuple[list[Revoked], RevocationList]:
-    """Revoke the certificates of all `subjects` and issue a new list, or do nothing.
+    """Revoke the certificates of all `subjects` and issue new lists, or do nothing.
 
+    Each set of credentials gets its list, with the same number; returned is that of the first set.
     A subject is a participant's name, for all its certificates that have not expired, or a
     certificate's serial number in hex. With `superseded` it is a name, for those that were
     replaced and are still valid; its current certificate stays. `certificates` are others of this
@@ -95,20 +99,21 @@ def revoke(  # noqa: PLR0913 -- the choices are the user's, and by name
     """
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.REVOKE)
-        chosen = _chosen(keystore, ledger, subjects, now, superseded=superseded)
-        chosen |= _given(keystore, ledger, certificates, now)
-        before = _revoked_since(ledger)
+        sets = each_set(keystore, authorities, transaction, ledger)
+        asked = [(each.keystore, each.ledger) for each in sets]
+        chosen = _chosen(asked, subjects, now, superseded=superseded)
+        chosen |= _given(asked, certificates, now)
+        before = _merged(line for each in sets for line in _revoked_since(each.ledger).values())
         new = [
             _revocation(each, reason, now, again=each.sha256 in before)
             for each in chosen.values()
             if _is_news(before.get(each.sha256), reason)
         ]
-        made = Publisher(keystore, authorities.identity, ledger, now).publish(
-            transaction, new, validity
-        )
+        made = publish(sets, new, validity, now)
     after = _merged((*before.values(), *new))
-    listed = {each.serial_number for each in made.revoked}
-    return [_result(after[sha256], listed, before=sha256 in before) for sha256 in chosen], made
+    listed = {each.serial_number for one in made for each in one.revoked}
+    found = [_result(after[sha256], listed, before=sha256 in before) for sha256 in chosen]
+    return found, made[0]
 
 
 def revocable(
@@ -121,8 +126,9 @@ def revocable(
 ) -> list[Entry]:
     """The ledger lines of the certificates that `revoke` would revoke; KeystoreError as there."""
     with keystore.open_ledger() as ledger:
-        chosen = _chosen(keystore, ledger, subjects, now, superseded=superseded)
-        chosen |= _given(keystore, ledger, certificates, now)
+        sets = [(each, ledger.of(each.set_name)) for each in keystore.sets]
+        chosen = _chosen(sets, subjects, now, superseded=superseded)
+        chosen |= _given(sets, certificates, now)
     return list(chosen.values())
 
 
@@ -133,11 +139,29 @@ def renew_list(
     now: datetime,
     validity: timedelta = LIST_VALIDITY,
 ) -> RevocationList:
-    """Issue a new list with the same revocations and a later nextUpdate."""
+    """Issue new lists with the same revocations and a later nextUpdate; that of the first set."""
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.OTHER)
-        publisher = Publisher(keystore, authorities.identity, ledger, now)
-        return publisher.publish(transaction, [], validity)
+        sets = each_set(keystore, authorities, transaction, ledger)
+        return publish(sets, [], validity, now)[0]
+
+
+def publish(
+    sets: Sequence[SetWork], new: Sequence[Entry], validity: timedelta, now: datetime
+) -> list[RevocationList]:
+    """Stage the next lists of all sets, with one number, and the missing links to them.
+
+    `new` are revocations: each is in the list of its set. Errors as of `Publisher.publish`.
+    """
+    publishers = [
+        Publisher(each.keystore, each.authorities.identity, each.ledger, now) for each in sets
+    ]
+    number = max(each.next_number for each in publishers)
+    made = []
+    for publisher, each in zip(publishers, sets, strict=True):
+        own = [line for line in new if line.set_name == each.keystore.set_name]
+        made.append(publisher.publish(each.part, own, number, validity))
+    return made
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,33 +173,43 @@ class Publisher:
     ledger: Ledger
     now: datetime
 
+    @property
+    def next_number(self) -> int:
+        """The number after that of its last list."""
+        return 1 + self.last_number
+
+    @property
+    def last_number(self) -> int:
+        """The number of its last list; 0 without one."""
+        last, old = self._last(), self._verified()
+        return max(last.list_number if last else 0, (old.number if old else None) or 0)
+
     def publish(
-        self, transaction: Transaction, new: Sequence[Entry], validity: timedelta
+        self, part: SetChange, new: Sequence[Entry], number: int, validity: timedelta
     ) -> RevocationList:
         """Stage the next list, with `new` revocations, and the missing links to it.
 
         KeystoreError while two identity CAs are trusted: a list covers one CA only.
         """
         refuse_overlap(self.keystore, "a revocation list would cover only one of them")
-        made = self.stage(transaction, new, validity)
+        made = self.stage(part, new, number, validity)
         for place, target in layout.missing_list_links(self.keystore.folder):
-            transaction.link(place, target)
+            part.link(place, target)
         return made
 
     def stage(
-        self, transaction: Transaction, new: Sequence[Entry], validity: timedelta
+        self, part: SetChange, new: Sequence[Entry], number: int, validity: timedelta
     ) -> RevocationList:
         """Stage the next list, with `new` revocations, but no links to it."""
-        last, old = self._last(), self._verified()
         made = revocation_list(
             self.identity,
-            self._revoked(last, old, new),
-            number=1 + max(last.list_number if last else 0, (old.number if old else None) or 0),
+            self._revoked(self._last(), self._verified(), new),
+            number=number,
             now=self.now,
             validity=validity,
         )
-        transaction.folder(layout.PUBLIC, private=False).public(layout.CA_LIST, made.pem)
-        transaction.record(*new, list_entry(made, made.pem, self.identity.certificate, self.now))
+        part.folder(layout.PUBLIC, private=False).public(layout.CA_LIST, made.pem)
+        part.record(*new, list_entry(made, made.pem, self.identity.certificate, self.now))
         return made
 
     @property
@@ -214,48 +248,48 @@ class Publisher:
 
 
 def _chosen(
-    keystore: Keystore,
-    ledger: Ledger,
-    subjects: Iterable[str],
-    now: datetime,
-    *,
-    superseded: bool,
+    sets: Sequence[OfSet], subjects: Iterable[str], now: datetime, *, superseded: bool
 ) -> dict[str, Entry]:
     """The entries of the certificates that `subjects` name, by the certificate's hash."""
+    ledgers = [ledger for _, ledger in sets]
     if superseded:
-        earlier = superseded_in(keystore, ledger, now=now)
+        earlier = [superseded_in(keystore, ledger, now=now) for keystore, ledger in sets]
         names = [layout.enclave_name(each) for each in subjects]
-        found = [each for name in names for each in _earlier(ledger, name, earlier)]
+        found = [each for name in names for each in _earlier(ledgers[0], name, earlier)]
     else:
-        found = [each for subject in subjects for each in _certificates(ledger, subject, now)]
+        found = [each for subject in subjects for each in _certificates(ledgers, subject, now)]
     return {each.sha256: each for each in found}
 
 
 def _earlier(
-    ledger: Ledger, name: str, earlier: Mapping[str, tuple[Entry, ...]]
-) -> tuple[Entry, ...]:
-    """Those of the participant; KeystoreError if the ledger has no such participant."""
-    if name not in earlier and not ledger.count(_ISSUED, name):
+    ledger: Ledger, name: str, earlier: Iterable[Mapping[str, tuple[Entry, ...]]]
+) -> list[Entry]:
+    """Those of the participant in all sets; KeystoreError if there is no such participant."""
+    found = [line for of_set in earlier for line in of_set.get(name, ())]
+    if not found and not ledger.count(_ISSUED, name):
         raise _unknown(ledger, name, "participant")
-    return earlier.get(name, ())
+    return found
 
 
 def _given(
-    keystore: Keystore, ledger: Ledger, certificates: Iterable[Certificate], now: datetime
+    sets: Sequence[OfSet], certificates: Iterable[Certificate], now: datetime
 ) -> dict[str, Entry]:
     """The entries of these certificates, by their hashes; made for those without a line."""
-    issuer, known = keystore.identity_ca, {each.sha256: each for each in ledger.of_kind(_ISSUED)}
     found = {}
     for each in certificates:
-        if each.is_self_issued or not issuer.signed(each):
+        issuing = [one for one in sets if one[0].identity_ca.signed(each)]
+        if each.is_self_issued or not issuing:
             raise KeystoreError(
                 f"{each.subject_name}, serial number {each.serial_number:x}, is not a certificate"
-                f" of {issuer.subject_name}",
+                f" of {' or '.join(one.identity_ca.subject_name for one, _ in sets)}",
                 hint="only the CA that issued a certificate can revoke it",
             )
         if now > each.not_after:
             raise _expired(each.subject_name, each.not_after)
-        made = certificate_entry(_ISSUED, _subject(each), each, now, issuer=issuer)
+        keystore, ledger = issuing[0]
+        known = {line.sha256: line for line in ledger.of_kind(_ISSUED)}
+        made = certificate_entry(_ISSUED, _subject(each), each, now, issuer=keystore.identity_ca)
+        made = made.in_set(keystore.set_name)
         found[each.fingerprint] = known.get(each.fingerprint, made)
     return found
 
@@ -265,14 +299,15 @@ def _subject(certificate: Certificate) -> str:
     return certificate.subject_name.removeprefix("CN=")
 
 
-def _certificates(ledger: Ledger, subject: str, now: datetime) -> list[Entry]:
-    """The entries of the certificates that `subject` names."""
-    named = ledger.of_name("participant", _name(subject))
+def _certificates(ledgers: Sequence[Ledger], subject: str, now: datetime) -> list[Entry]:
+    """The entries of the certificates that `subject` names, in all sets."""
+    named = [line for each in ledgers for line in each.of_name(_ISSUED, _name(subject))]
     if not named:
         serial = subject.replace(":", "").lower().lstrip("0")
-        named = [each for each in ledger.of_kind("participant") if each.serial == serial]
+        lines = [line for each in ledgers for line in each.of_kind(_ISSUED)]
+        named = [line for line in lines if line.serial == serial]
     if not named:
-        raise _unknown(ledger, subject, "participant and no serial number")
+        raise _unknown(ledgers[0], subject, "participant and no serial number")
     good = [each for each in named if now <= each.ends]
     if not good:
         raise _expired(subject, named[-1].ends)
@@ -322,12 +357,13 @@ def _is_news(before: Entry | None, reason: Reason) -> bool:
 
 
 def _revocation(line: Entry, reason: Reason, now: datetime, *, again: bool) -> Entry:
-    return replace(
+    made = replace(
         line,
         at=now.isoformat(timespec="seconds"),
         kind=COMPROMISE if again else "revocation",
         details={"reason": reason.value},
     )
+    return made.in_set(line.set_name)
 
 
 def _revoked(entry: Entry) -> RevokedCertificate:

@@ -201,7 +201,8 @@ class _Execution:
         issued = self._reissue()
         if self.plan.new_list:
             publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
-            publisher.stage(self.transaction, [], LIST_VALIDITY)
+            first = self.transaction.of(self.new.set_name)
+            publisher.stage(first, [], publisher.next_number, LIST_VALIDITY)
         return issued
 
     def _archive(self) -> None:
@@ -250,7 +251,7 @@ class _Execution:
 
         def make(name: str, folder: StagedFolder) -> Issued:
             terms = Renewal(rekey=name in rekeyed)
-            return Renewer(issuer, self.inspector, terms).make(name, folder)
+            return Renewer(issuer, self.inspector, terms).make(name, [folder])
 
         folders = [
             self.transaction.folder(layout.enclave_folder(name), private=False) for name in names

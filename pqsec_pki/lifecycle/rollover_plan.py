@@ -24,6 +24,7 @@ from pqsec_pki.keystore import (
     State,
     key_hashes,
     layout,
+    refuse_further_sets,
     refuse_overlap,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
@@ -47,6 +48,7 @@ def plan_rollover(keystore: Keystore, terms: Rollover, *, now: datetime) -> Roll
     revoked participants again. VerificationError for a governance that the permissions CA did
     not sign.
     """
+    refuse_further_sets(keystore, "`pqsec ca rotate` replaces the CAs of")
     head = keystore.head  # before all else: what changes later makes the plan invalid
     _refuse_scope(keystore, terms)
     overlap = _overlap(keystore, terms, now)

@@ -25,10 +25,17 @@ from pqsec_pki.keystore import (
     faults_of_ledger,
     layout,
     placed_entry,
+    refuse_further_sets,
     stage_governance,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
-from pqsec_pki.lifecycle._issuer import stage_permissions
+from pqsec_pki.lifecycle._sets import (
+    SetWork,
+    document_folders,
+    each_set,
+    record_in_sets,
+    sign_in_sets,
+)
 from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, refuse_growth
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
 from pqsec_pki.transparency import TreeHead
@@ -44,8 +51,8 @@ def sign_permissions(
 ) -> None:
     """Sign new permissions for all existing participants in `specs`, or for none.
 
-    They are valid as long as the certificate; the validity in `specs` is ignored.
-    KeystoreError for a participant that does not exist, was revoked, or whose certificate
+    In all their sets; they are valid as long as the certificate: the validity in `specs` is not
+    used. KeystoreError for a participant that does not exist, was revoked, or whose certificate
     is not its newest.
     """
     names = [layout.enclave_name(spec.name) for spec in specs]
@@ -55,9 +62,11 @@ def sign_permissions(
         )
         inspector = Inspector.of(keystore, ledger, names, now=now)
         inspector.refuse_revoked(names)
-        folders = [transaction.folder(layout.enclave_folder(name), private=False) for name in names]
+        sets = each_set(keystore, authorities, transaction, ledger)
+        folders = document_folders(sets, names)
         signer = _Signer(keystore, authorities, inspector, transaction.number, now)
-        transaction.record(*shared_out(signer.sign_permissions, names, specs, folders))
+        for entries in shared_out(signer.sign_permissions, names, specs, folders):
+            record_in_sets(sets, entries)
 
 
 def sign_governance(
@@ -112,23 +121,41 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     `document` is not valid, UsageError for a time that no stack understands.
     """
     document = _DOCUMENTS[kind].from_xml(document).to_xml()
-    with change(keystore.root, authorities) as transaction:
+    place = layout.document_folder(keystore.folder, kind.value, goal)
+    if place is None:
+        refuse_further_sets(keystore, "a file elsewhere is signed for")
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.GROW)
-        signed = authorities.sign(
-            document, number=transaction.number, now=now, embed_certificate=embed_certificate
-        )
-        place = layout.document_folder(keystore.folder, kind.value, goal)
-        entry = document_entry(kind.value, str(goal), signed, now)
-        transaction.record(entry if place is None else placed_entry(entry, place))
+        made = []
+        for each in each_set(keystore, authorities, transaction, ledger):
+            if not _has(each, place):
+                continue
+            signed = each.authorities.sign(
+                document,
+                number=transaction.number,
+                now=now,
+                embed_certificate=embed_certificate,
+            )
+            entry = document_entry(kind.value, str(goal), signed, now)
+            each.part.record(entry if place is None else placed_entry(entry, place))
+            if place is not None:
+                folder = each.part.folder(place, private=False)
+                folder.public(goal.with_suffix(".xml").name, document)
+                folder.public(goal.name, signed)
+            made.append(signed)
         if place is None:
-            write(goal, signed, force=force)
-        else:
-            if not force:
-                refuse_existing(goal)
-            folder = transaction.folder(place, private=False)
-            folder.public(goal.with_suffix(".xml").name, document)
-            folder.public(goal.name, signed)
-    return signed
+            write(goal, made[0], force=force)
+        elif not force:
+            refuse_existing(goal)
+    return made[0]
+
+
+def _has(work: SetWork, place: str | None) -> bool:
+    """Whether a document belongs into that folder of the set: not if its participant has no
+    certificate there yet."""
+    if work.keystore.set_name == layout.FIRST or place in {None, layout.ENCLAVES}:
+        return True
+    return bool(work.known([str(place).removeprefix(layout.ENCLAVES)]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,13 +166,15 @@ class _Signer:
     number: int
     now: datetime
 
-    def sign_permissions(self, name: str, spec: ParticipantSpec, folder: StagedFolder) -> Entry:
+    def sign_permissions(
+        self, name: str, spec: ParticipantSpec, folders: Sequence[StagedFolder | None]
+    ) -> list[Entry | None]:
         there = self.keystore.folder / layout.enclave_folder(name)
         with disk_errors(there):
             certificate = self.inspector.certificate(name, there)
-        _, entry = stage_permissions(
-            folder,
+        return sign_in_sets(
             self.authorities,
+            folders,
             name,
             permissions_for(spec, certificate),
             number=self.number,
@@ -153,4 +182,3 @@ class _Signer:
             subject=certificate.subject_name,
             config_digest=spec.config_digest,
         )
-        return entry

@@ -1,13 +1,48 @@
 """A keystore with several sets of credentials: what they share, and what none has of another."""
 
 import json
+import shutil
+from dataclasses import replace
 
 import pytest
 
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import Authorities, Entry, Keystore, change, layout, read_head
+from pqsec_pki.certificates import Reason
+from pqsec_pki.documents import DomainSet, Governance, Kind
+from pqsec_pki.errors import (
+    ExistsError,
+    FileError,
+    KeystoreError,
+    UsageError,
+    VerificationError,
+)
+from pqsec_pki.keystore import (
+    Authorities,
+    Entry,
+    Keystore,
+    audit,
+    change,
+    layout,
+    read_head,
+    status,
+)
+from pqsec_pki.lifecycle import (
+    ParticipantSpec,
+    Renewal,
+    Rollover,
+    changed_permissions,
+    issue,
+    plan_rollover,
+    renew,
+    renew_list,
+    revoke,
+    sign_changed,
+    sign_document,
+    sign_governance,
+    sign_permissions,
+)
+from pqsec_pki.lifecycle._issuer import PublicKeys
+from pqsec_pki.lifecycle._key_checks import refuse_shared
 from tests.unit.keystores import DAY, NOW
 
 CLASSICAL, HYBRID, PQ = map(profile_named, ("classical", "hybrid", "pq"))
@@ -145,3 +180,366 @@ def test_a_missing_ca_key_of_a_further_set_is_not_passed_over(keystore, file):
     (keystore.sets[1].folder / "private" / file).unlink()
     with pytest.raises(KeystoreError, match="private key is not here"):
         keystore.unlock(None)
+
+
+# Issuing, renewing and revoking: in all sets, by one change
+
+
+LATER = NOW + 30 * DAY
+TWO = ("/listener", "/talker")
+
+
+def spec(name, **others):
+    return ParticipantSpec(
+        name=name,
+        domains=DomainSet.of(0),
+        publish=("chatter",),
+        validity=others.pop("validity", 90 * DAY),
+        **others,
+    )
+
+
+def issued(keystore, *names, now=NOW, **others):
+    specs = [spec(name) for name in names or TWO]
+    return issue(keystore, keystore.unlock(None), specs, now=now, **others)
+
+
+def texts(keystore, place):
+    """The different contents of a file in all sets."""
+    return {(each.folder / place).read_bytes() for each in keystore.sets}
+
+
+def one_meaning_but_numbers(keystore, *names, now=LATER):
+    one_meaning(keystore, *names, now=now, one_number=False)
+
+
+def one_meaning(keystore, *names, now=NOW, one_number=True):
+    """That all sets have credentials that say the same, and share no key and no issuer."""
+    found = [each.verified(name, now=now) for name in names for each in keystore.sets]
+    assert len(found) == len(names) * len(keystore.sets)
+    assert len(texts(keystore, "enclaves/governance.xml")) == 1
+    for name in names:
+        assert len(texts(keystore, f"enclaves{name}/permissions.xml")) == 1
+        mine = [each.participant(name) for each in keystore.sets]
+        assert len({each.certificate.subject_der for each in mine}) == 1
+        assert len({each.certificate.not_after for each in mine}) == 1
+        assert len({each.certificate.issuer_der for each in mine}) == len(mine)
+        assert not one_number or len({each.certificate.number for each in mine}) == 1
+        assert len({each.certificate.spki for each in mine}) == len(mine)
+        for view in keystore.sets:
+            signed = (view.folder / f"enclaves{name}/permissions.p7s").read_bytes()
+            document = view.anchors.signed(signed).document.replace(b"\r\n", b"\n")
+            assert {document} == texts(keystore, f"enclaves{name}/permissions.xml")
+    audit(keystore)
+
+
+def test_a_participant_is_issued_in_all_sets_with_one_meaning(keystore):
+    found = issued(keystore)
+    assert [each.profile for each in found[0].sets] == ["classical", "hybrid"]
+    one_meaning(keystore, *TWO)
+    certificates = [each.participant("/talker").certificate for each in keystore.sets]
+    assert [each.public_key.algorithm for each in certificates] == [
+        CLASSICAL.participant_key,
+        HYBRID.participant_key,
+    ]
+
+
+def test_three_sets_have_one_meaning_too(tmp_path):
+    keystore = create(tmp_path / "k", CLASSICAL, HYBRID, PQ)
+    issued(keystore)
+    one_meaning(keystore, *TWO)
+
+
+def test_many_participants_made_by_several_processes_have_one_meaning(keystore):
+    names = [f"/robot{number}" for number in range(40)]
+    issued(keystore, *names)
+    one_meaning(keystore, *names)
+
+
+def test_certificates_of_all_sets_end_with_the_first_of_their_cas(keystore):
+    authorities = keystore.unlock(None)
+    issue(keystore, authorities, [spec("/talker", validity=2000 * DAY)], now=LATER)
+    one_meaning(keystore, "/talker", now=LATER)
+
+
+def test_an_enclave_of_one_set_has_links_into_that_set_only(keystore):
+    issued(keystore)
+    second = keystore.sets[1].folder
+    for link in (second / "enclaves/talker").iterdir():
+        if link.is_symlink():
+            assert link.resolve().is_relative_to(second.resolve())
+
+
+def test_none_is_issued_if_a_further_set_cannot(keystore):
+    authorities = keystore.unlock(None)
+    (keystore.sets[1].folder / "enclaves/talker").write_bytes(b"")
+    before = keystore.head
+    with pytest.raises(KeystoreError):
+        issue(keystore, authorities, [spec("/talker")], now=NOW)
+    assert keystore.head == before
+    assert keystore.names() == []
+
+
+def test_files_of_a_participant_in_a_further_set_are_not_overwritten_without_force(keystore):
+    issued(keystore)
+    for path in (keystore.root / "enclaves/talker").iterdir():
+        path.unlink()
+    with pytest.raises(ExistsError, match="/talker"):
+        issued(keystore, "/talker")
+    issued(keystore, "/talker", force=True, now=LATER)
+    one_meaning(keystore, "/talker", now=LATER)
+
+
+@pytest.mark.parametrize("rekey", [None, False, True])
+def test_a_renewal_is_of_all_sets(keystore, rekey):
+    issued(keystore)
+    before = [each.participant("/talker").certificate for each in keystore.sets]
+    renew(keystore, keystore.unlock(None), ["/talker"], Renewal(rekey=rekey), now=LATER)
+    one_meaning(keystore, "/talker", now=LATER)
+    for each, old in zip(keystore.sets, before, strict=True):
+        new = each.participant("/talker").certificate
+        assert new.der != old.der
+        assert (new.spki == old.spki) is (rekey is False)
+
+
+def test_nothing_is_renewed_if_a_file_of_a_further_set_is_not_the_newest(keystore):
+    issued(keystore)
+    other = keystore.sets[1].folder / "enclaves"
+    (other / "talker/cert.pem").write_bytes((other / "listener/cert.pem").read_bytes())
+    before = keystore.head
+    with pytest.raises(KeystoreError, match=r"sets/hybrid/enclaves/talker/cert\.pem"):
+        renew(keystore, keystore.unlock(None), ["/talker"], now=LATER)
+    assert keystore.head == before
+
+
+def test_changed_rights_are_signed_in_all_sets(keystore):
+    issued(keystore)
+    authorities = keystore.unlock(None)
+    sign_permissions(
+        keystore, authorities, [replace(spec("/talker"), publish=("other",))], now=LATER
+    )
+    one_meaning(keystore, *TWO, now=LATER)
+    found = changed_permissions(keystore, ["/talker"], lambda _, grant: grant, now=LATER)
+    sign_changed(keystore, authorities, found, now=LATER)
+    one_meaning(keystore, *TWO, now=LATER)
+
+
+def test_a_governance_is_signed_in_all_sets(keystore):
+    issued(keystore)
+    before = texts(keystore, "enclaves/governance.xml")
+    weaker = Governance.from_xml(next(iter(before)))
+    rule = replace(weaker.domain_rules[0], allow_unauthenticated_participants=True)
+    sign_governance(
+        keystore, keystore.unlock(None), replace(weaker, domain_rules=(rule,)), now=LATER
+    )
+    assert texts(keystore, "enclaves/governance.xml") != before
+    one_meaning(keystore, *TWO, now=LATER)
+
+
+@pytest.mark.parametrize(
+    ("kind", "place"),
+    [(Kind.GOVERNANCE, "enclaves"), (Kind.PERMISSIONS, "enclaves/talker")],
+)
+def test_a_document_that_is_signed_in_its_place_is_signed_in_all_sets(keystore, kind, place):
+    issued(keystore)
+    path = keystore.root / place / f"{kind.value}.xml"
+    document = path.read_bytes().replace(b"</dds>", b"<!-- edited --></dds>")
+    sign_document(
+        keystore,
+        kind,
+        document,
+        path.with_suffix(".p7s"),
+        keystore.unlock(None),
+        now=LATER,
+        force=True,
+    )
+    one_meaning(keystore, *TWO, now=LATER)
+
+
+def test_a_document_elsewhere_or_of_one_further_set_is_not_signed(keystore, tmp_path):
+    issued(keystore)
+    document = (keystore.root / "enclaves/governance.xml").read_bytes()
+    before = keystore.head
+    for goal in (tmp_path / "x.p7s", keystore.sets[1].folder / "enclaves/governance.p7s"):
+        with pytest.raises(KeystoreError, match="further sets of credentials"):
+            sign_document(
+                keystore,
+                Kind.GOVERNANCE,
+                document,
+                goal,
+                keystore.unlock(None),
+                now=NOW,
+                force=True,
+            )
+    assert keystore.head == before
+
+
+def test_a_revoked_participant_is_in_the_lists_of_all_sets_with_one_number(keystore):
+    issued(keystore)
+    revoked, made = revoke(
+        keystore, keystore.unlock(None), ["/talker"], reason=Reason.KEY_COMPROMISE, now=LATER
+    )
+    assert len(revoked) == 2
+    assert all(each.listed for each in revoked)
+    lists = [each.revocation_list for each in keystore.sets]
+    assert [each.number for each in lists] == [made.number] * 2
+    for each, view in zip(lists, keystore.sets, strict=True):
+        each.verify(view.identity_ca)
+        [gone] = each.revoked
+        assert gone.serial_number == view.participant("/talker").certificate.serial_number
+        assert (view.folder / "enclaves/listener/crl.pem").resolve().is_relative_to(view.folder)
+        with pytest.raises(VerificationError, match="revoked"):
+            view.verified("/talker", now=LATER)
+    audit(keystore)
+
+
+def test_one_certificate_is_revoked_in_its_set_and_all_lists_are_issued(keystore):
+    issued(keystore)
+    serial = keystore.sets[1].participant("/talker").certificate.serial_number
+    revoked, _ = revoke(keystore, keystore.unlock(None), [f"{serial:x}"], now=LATER)
+    assert [each.listed for each in revoked] == [True]
+    first, second = (each.revocation_list for each in keystore.sets)
+    assert (len(first.revoked), len(second.revoked)) == (0, 1)
+    assert first.number == second.number
+
+
+def test_a_certificate_in_a_file_is_revoked_in_the_set_that_issued_it(keystore):
+    issued(keystore)
+    given = keystore.sets[1].participant("/talker").certificate
+    revoke(keystore, keystore.unlock(None), [], certificates=[given], now=LATER)
+    assert [len(each.revocation_list.revoked) for each in keystore.sets] == [0, 1]
+
+
+def test_replaced_certificates_of_all_sets_are_revoked(keystore):
+    issued(keystore)
+    authorities = keystore.unlock(None)
+    renew(keystore, authorities, ["/talker"], now=LATER)
+    revoked, _ = revoke(keystore, authorities, ["/talker"], superseded=True, now=LATER)
+    assert len(revoked) == 2
+    one_meaning(keystore, *TWO, now=LATER)
+
+
+def test_lists_are_issued_together_also_by_a_renewal(keystore):
+    issued(keystore)
+    authorities = keystore.unlock(None)
+    renew_list(keystore, authorities, now=NOW, validity=10 * DAY)
+    renew(keystore, authorities, ["/talker"], Renewal(due=60 * DAY), now=NOW + DAY)
+    assert [each.revocation_list.number for each in keystore.sets] == [2, 2]
+    one_meaning(keystore, *TWO, now=NOW + DAY)
+
+
+def test_a_list_of_a_set_that_was_lost_does_not_stop_the_others_and_comes_back(keystore):
+    issued(keystore)
+    authorities = keystore.unlock(None)
+    revoke(keystore, authorities, ["/talker"], now=NOW)
+    (keystore.sets[1].folder / "public/identity_ca.crl.pem").unlink()
+    renew_list(keystore, authorities, now=LATER)
+    lists = [each.revocation_list for each in keystore.sets]
+    assert [(each.number, len(each.revoked)) for each in lists] == [(2, 1), (2, 1)]
+
+
+@pytest.mark.parametrize("file", ["enclaves/governance.p7s", "public/identity_ca.crl.pem"])
+def test_with_an_older_file_of_a_further_set_nothing_is_issued(keystore, file):
+    authorities, path = keystore.unlock(None), keystore.sets[1].folder / file
+    renew_list(keystore, authorities, now=NOW)
+    older = path.read_bytes()
+    renew_list(keystore, authorities, now=LATER)
+    governance = Governance.from_xml((keystore.root / "enclaves/governance.xml").read_bytes())
+    sign_governance(keystore, authorities, governance, now=LATER)
+    path.write_bytes(older)
+    with pytest.raises(KeystoreError, match="is an older one"):
+        issued(keystore, now=LATER)
+
+
+def test_a_key_of_another_set_is_not_certified(keystore):
+    """By the ledger, which knows the keys of all sets."""
+    issued(keystore)
+    key = keystore.participant("/talker").certificate.public_key
+    with keystore.sets[1].open_ledger() as ledger:
+        with pytest.raises(VerificationError, match="another set"):
+            refuse_shared(ledger, {"/talker": [key]}, NOW)
+        with pytest.raises(VerificationError, match="its key is that of /talker"):
+            refuse_shared(ledger, {"/other": [key]}, NOW)
+    with keystore.open_ledger() as ledger:
+        refuse_shared(ledger, {"/talker": [key]}, NOW)
+
+
+def test_requests_wait_for_a_way_to_ask_for_all_sets(keystore):
+    key = profile_named("classical").participant_key.generate().public_key
+    asked = replace(spec("/talker"), keys=PublicKeys(key, None))
+    with pytest.raises(KeystoreError, match="further sets of credentials"):
+        issue(keystore, keystore.unlock(None), [asked], now=NOW)
+
+
+def test_cas_of_several_sets_are_not_replaced_yet(keystore):
+    terms = Rollover(profile=HYBRID, validity=900 * DAY)
+    with pytest.raises(KeystoreError, match="further sets of credentials"):
+        plan_rollover(keystore, terms, now=NOW)
+
+
+# What is missing is a fault, and nothing is concluded from what lies there
+
+
+def states(keystore, now=LATER):
+    found = status(keystore, now=now, compare_files=True)
+    return {each.name: str(each.state) for each in found.participants}
+
+
+def test_a_complete_participant_has_one_state(keystore):
+    issued(keystore)
+    assert states(keystore) == dict.fromkeys(TWO, "valid")
+    found = status(keystore, now=LATER)
+    assert [(each.kind, each.set_name) for each in found.shared] == [
+        (kind, name) for name in ("", "hybrid") for kind in ("identity-ca", "permissions-ca")
+    ]
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_participant_without_its_folder_in_one_set_is_incomplete(keystore, number):
+    issued(keystore)
+    shutil.rmtree(keystore.sets[number].folder / "enclaves/talker")
+    assert states(keystore) == {"/listener": "valid", "/talker": "incomplete"}
+
+
+def test_a_participant_that_is_revoked_in_one_set_is_incomplete(keystore):
+    issued(keystore)
+    serial = keystore.sets[1].participant("/talker").certificate.serial_number
+    revoke(keystore, keystore.unlock(None), [f"{serial:x}"], now=NOW)
+    assert states(keystore) == {"/listener": "valid", "/talker": "incomplete"}
+
+
+def test_an_expired_participant_is_expired_whatever_else_it_lacks(keystore):
+    issued(keystore)
+    shutil.rmtree(keystore.sets[1].folder / "enclaves/talker")
+    assert states(keystore, NOW + 200 * DAY) == dict.fromkeys(TWO, "expired")
+
+
+def test_a_list_that_is_gone_in_one_set_is_seen(keystore):
+    renew_list(keystore, keystore.unlock(None), now=NOW)
+    (keystore.sets[1].folder / "public/identity_ca.crl.pem").unlink()
+    assert status(keystore, now=LATER).revocation_list.state == "gone"
+    renew(keystore, keystore.unlock(None), [], now=LATER)
+    assert [each.revocation_list.number for each in keystore.sets] == [2, 2]
+
+
+@pytest.mark.parametrize("file", ["public/identity_ca.cert.pem", "public/permissions_ca.cert.pem"])
+def test_without_a_ca_of_a_further_set_there_is_no_status(keystore, file):
+    (keystore.sets[1].folder / file).unlink()
+    with pytest.raises(FileError, match=f"sets/hybrid/{file}"):
+        status(keystore, now=LATER)
+
+
+def test_an_audit_sees_files_of_a_further_set_without_a_line(keystore):
+    issued(keystore)
+    second = keystore.sets[1].folder / "enclaves"
+    (second / "talker/permissions.p7s").write_bytes(
+        (keystore.root / "enclaves/talker/permissions.p7s").read_bytes()
+    )
+    with pytest.raises(VerificationError, match=r"sets/hybrid/enclaves/talker/permissions\.p7s"):
+        audit(keystore)
+
+
+def test_an_audit_sees_a_set_that_was_taken_out_of_the_settings(keystore):
+    rewritten(keystore, algorithms=[CLASSICAL.to_names()])
+    with pytest.raises(VerificationError, match="lacks the set of credentials hybrid"):
+        audit(Keystore.open(keystore.root))
