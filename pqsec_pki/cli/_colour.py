@@ -13,7 +13,8 @@ import click
 _MEANINGS = {
     "red": r"^pqsec: error:|^FAIL\b|\bexpired(?=  +[0-9-]{10}\b)"
     r"|(?<=: )error(?= [A-Z]{2,8}[0-9]+ )",
-    "yellow": r"^pqsec: (?:note|warning):|\b(?:due|revoked|gone|previous-ca)(?=  +[0-9-]{10}\b)"
+    "yellow": r"^pqsec: (?:note|warning):"
+    r"|\b(?:due|revoked|gone|previous-ca|incomplete)(?=  +[0-9-]{10}\b)"
     r"|(?<=: )warning(?= [A-Z]{2,8}[0-9]+ )",
     "green": r"^ok\b|\bvalid(?=  +[0-9-]{10}\b)",
     "cyan": r"^pqsec: hint:|(?<=: )info(?= [A-Z]{2,8}[0-9]+ )",

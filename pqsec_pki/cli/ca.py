@@ -1,6 +1,6 @@
 """pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import timedelta
 from pathlib import Path
 
@@ -11,19 +11,22 @@ from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_nam
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
 from pqsec_pki.cli._times import day
+from pqsec_pki.cli.add_set import add_set
 from pqsec_pki.cli.passphrase import passphrase
 from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
-from pqsec_pki.errors import KeystoreError
+from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import (
     CurrentFiles,
     Keystore,
     LedgerAddress,
+    Overview,
     SigningCa,
     key_algorithms,
     list_delivery,
     overview_of,
+    refuse_further_sets,
 )
 from pqsec_pki.lifecycle import renew_list
 
@@ -34,6 +37,7 @@ def ca() -> None:
     """Create, show and change the CAs and the revocation list."""
 
 
+ca.add_command(add_set)
 ca.add_command(passphrase)
 ca.add_command(rotate)
 
@@ -47,6 +51,24 @@ profile_option = click.option(
 )
 
 
+class _Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
+    """Profiles with commas between them: one for each set of credentials."""
+
+    name = "profiles"
+
+    def __init__(self) -> None:
+        super().__init__([profile.name for profile in PROFILES], case_sensitive=False)
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        """The names. Raises click's error for an unknown one."""
+        if isinstance(value, tuple):
+            return value
+        one = super().convert
+        return tuple(one(each, param, ctx) for each in str(value).split(","))
+
+
 @ca.command(
     examples={
         "Create a keystore for ROS 2 nodes on domain 0": (
@@ -54,6 +76,9 @@ profile_option = click.option(
         ),
         "Create one with post-quantum keys only, for tests": (
             "pqsec -k my-test ca init --profile pq --no-passphrase"
+        ),
+        "Create one with two sets of credentials": (
+            "pqsec -k my-domain ca init --profile classical,hybrid --no-passphrase"
         ),
     },
     exit_codes={
@@ -64,7 +89,15 @@ profile_option = click.option(
         ),
     },
 )
-@profile_option
+@click.option(
+    "--profile",
+    "profile_names",
+    type=_Profiles(),
+    default=DEFAULT_PROFILE.name,
+    show_default=True,
+    help="Choose the algorithms; `pqsec profiles` explains them. Profiles with commas between"
+    " them give a set of credentials each.",
+)
 @click.option(
     "--identity-key",
     metavar="NAME",
@@ -121,7 +154,7 @@ profile_option = click.option(
 @click.option("--no-passphrase", is_flag=True, help="Leave the CA keys unencrypted.")
 @_settings.command_options
 def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
-    profile_name: str,
+    profile_names: tuple[str, ...],
     identity_key: str | None,
     permissions_key: str | None,
     participant_key: str | None,
@@ -140,24 +173,23 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     The governance authenticates and encrypts everything on the domains. To change that,
     edit enclaves/governance.xml and sign it with `pqsec sign-governance`.
     """
-    profile = profile_named(profile_name).changed(
-        {
-            "identity_key": identity_key,
-            "permissions_key": permissions_key,
-            "participant_key": participant_key,
-            "alternative_key": alt_key,
-            "key_agreement": kem,
-        }
-    )
+    choices = {
+        "identity_key": identity_key,
+        "permissions_key": permissions_key,
+        "participant_key": participant_key,
+        "alternative_key": alt_key,
+        "key_agreement": kem,
+    }
+    profiles = _profiles(profile_names, choices)
     domain_set = DomainSet.parse(domains)
     path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
-    files = [*key_algorithms(profile)]
-    with _key_uris.keys(profile, _key_uris.given(), files) as keys:
+    files = [*key_algorithms(profiles[0])]
+    with _key_uris.keys(profiles[0], _key_uris.given(), files) as keys:
         in_files = len(keys) < len(files)
         keystore = Keystore.create(
             path,
-            profile,
+            *profiles,
             name=name,
             domains=domain_set,
             validity=validity,
@@ -170,6 +202,13 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     if no_passphrase and in_files:
         _passphrases.note_unencrypted(path)
     _show(keystore)
+
+
+def _profiles(names: Sequence[str], choices: dict[str, str | None]) -> list[Profile]:
+    """The profile of each set; UsageError for other algorithms that could be for several sets."""
+    if len(names) > 1 and any(choices.values()):
+        raise UsageError("options for single algorithms are for a keystore with one profile")
+    return [profile_named(each).changed(choices) for each in names]
 
 
 @ca.command(
@@ -225,6 +264,8 @@ def crl(
     has expired: issue a list early only if you will renew it in time.
     """
     keystore = _settings.open_keystore(to_change=not show)
+    if out:
+        refuse_further_sets(keystore, "--out copies")
     if out and not force:
         refuse_existing(out)
     found = _current_list(keystore) if show else None
@@ -243,7 +284,9 @@ def crl(
             write(out, found.pem, force=force)
     delivery = list_delivery(keystore, now=_settings.now())
     value = {"list": keystore.revocation_list_path, **found.to_json(), "delivery": delivery}
-    _printing.emit(value, [list_line(keystore, found), *(delivery.lines if delivery else ())])
+    lists = [(each, made) for each in keystore.sets[1:] if (made := each.revocation_list)]
+    lines = [list_line(each, made) for each, made in ((keystore, found), *lists)]
+    _printing.emit(value, [*lines, *(delivery.lines if delivery else ())])
 
 
 @ca.command(
@@ -278,6 +321,7 @@ def _show_pins(keystore: Keystore) -> None:
     """Print the trusted CAs as options of `pqsec install`."""
     from pqsec_pki.enrolment import pin_texts, pins_in_use  # noqa: PLC0415 -- for --pins alone
 
+    refuse_further_sets(keystore, "--pins prints")
     pins = pin_texts(pins_in_use(keystore))
     _printing.emit({"pins": pins}, [f"--ca-fingerprint {each}" for each in pins])
 
@@ -286,15 +330,26 @@ def _show(keystore: Keystore) -> None:
     found = overview_of(keystore)
     lines = (
         f"keystore       {found.keystore} ({_described(found.profile)})",
-        *(line for role, each in found.cas for line in _ca_lines(role, each)),
+        *_set_lines(found),
+        *(line for each in found.further for line in _further_lines(each)),
         f"{found.domains.noun:<14} {found.domains}",
-        f"CA keys        {found.keys}",
-        *(f"{'':<14} {name}: {uri}" for name, uri in found.key_uris.items()),
         *([f"approvals      {found.approvals}"] if found.approvals else ()),
         *([f"ledger         {found.ledger.place}"] if found.ledger else []),
         f"participants   {', '.join(found.participants) or 'none yet: pqsec issue NAME'}",
     )
     _printing.emit(found.to_json(), lines)
+
+
+def _further_lines(found: Overview) -> Iterator[str]:
+    yield f"set            {found.folder} ({_described(found.profile)})"
+    yield from _set_lines(found)
+
+
+def _set_lines(found: Overview) -> Iterator[str]:
+    """The CAs of a set, and where their keys are."""
+    yield from (line for role, each in found.cas for line in _ca_lines(role, each))
+    yield f"CA keys        {found.keys}"
+    yield from (f"{'':<14} {name}: {uri}" for name, uri in found.key_uris.items())
 
 
 def _ca_lines(role: str, ca: Certificate) -> Iterator[str]:

@@ -27,13 +27,13 @@ from pqsec_pki.selfcheck import verify_handshake as run_between
 
 MATRIX_ROUNDS = 5
 _PAIR = 2
-_PAIR_OPTIONS = {"--domain", "--kem", "--as", _wire_version.NAME}
+_PAIR_OPTIONS = {"--domain", "--kem", "--as", "--set", _wire_version.NAME}
 _MODE_OPTIONS = {
     "two participants": _PAIR_OPTIONS,
     "--all": _PAIR_OPTIONS | {"--jobs"},
     "--matrix": {"--rounds"},
     "--trace": _PAIR_OPTIONS | {"--force", "--insecure-show-secrets"},
-    "--attack": {"--domain", "--kem", _wire_version.NAME},
+    "--attack": {"--domain", "--kem", "--set", _wire_version.NAME},
 }
 """Mode -> options that it accepts."""
 
@@ -104,6 +104,13 @@ _MODE_OPTIONS = {
     help="Let B behave like this DDS stack; given twice, A and then B. With --all, in both orders.",
     shell_complete=_completion.among(each.name for each in STACKS),
 )
+@click.option(
+    "--set",
+    "profile",
+    metavar="PROFILE",
+    help="Use the credentials of this profile. [default: those of each set, one after the other;"
+    " with --as a stock stack, those that it can use]",
+)
 @_wire_version.option("Send messages of this version between pqsec peers; 2 is the shorter one.")
 @click.option(
     "--jobs",
@@ -169,13 +176,17 @@ def _named(count: int) -> str:
 
 
 def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
-    report = _report(names, given)
-    _printing.emit(report.to_json(), lines_of(report))
-    return report.ok
+    sets = _sets(given)
+    (profile, first), *others = [(each.profile.name, _report(each, names, given)) for each in sets]
+    further = [{"profile": name, **report.to_json()} for name, report in others]
+    lines = [*lines_of(first)]
+    for name, report in others:
+        lines += ["", f"set {name}", *lines_of(report)]
+    _printing.emit({**first.to_json(), "profile": profile, "further": further}, lines)
+    return first.ok and all(report.ok for _, report in others)
 
 
-def _report(names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
-    keystore = _keystore(given["kem"])
+def _report(keystore: Keystore, names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
     return run_between(
         keystore,
         *names,
@@ -191,10 +202,11 @@ def _all(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli._handshake_pairs import try_all  # noqa: PLC0415 -- not for every mode
     from pqsec_pki.selfcheck import AllPairsJob  # noqa: PLC0415
 
-    keystore = _keystore(given["kem"])
+    keystore = _one_set(given)
     first, second = _stacks(given["stacks"])
     job = AllPairsJob(
         root=keystore.root,
+        profile=keystore.profile.name,
         now=_settings.now(),
         domain=given["domain"],
         key_agreement=given["kem"],
@@ -221,7 +233,7 @@ def _trace(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     path, force = given["trace"], given["force"]
     if not force:
         _handshake_trace.refuse_existing_file(path)
-    report = _report(names, given)
+    report = _report(_one_set(given), names, given)
     shown = given["insecure_show_secrets"]
     _handshake_trace.write_trace(report, lines_of(report), path, show_secrets=shown, force=force)
     return report.ok
@@ -231,7 +243,7 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    keystore, now, domain = _keystore(given["kem"]), _settings.now(), given["domain"]
+    keystore, now, domain = _one_set(given), _settings.now(), given["domain"]
     agreement = _agreement(given["kem"])
     setup = HandshakeSetup(
         keystore=keystore,
@@ -248,12 +260,25 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     return _handshake_attacks.try_attacks(setup, (first, second), attacks)
 
 
-def _keystore(kem: str | None) -> Keystore:
-    """The keystore; prints a note if `kem` breaks a promise of its profile."""
-    keystore = _settings.open_keystore()
-    if kem is not None:
-        _note_broken_promise(kem, keystore.profile)
-    return keystore
+def _sets(given: dict[str, Any]) -> list[Keystore]:
+    """The sets of credentials; prints a note if --kem breaks a promise of a profile."""
+    keystore, profile = _settings.open_keystore(), given["profile"]
+    found = [keystore.of_profile(profile)] if profile else [*keystore.sets]
+    if not profile and any(each.is_stock for each in _stacks(given["stacks"])):
+        found = [each for each in found if each.profile.runs_in_stock] or found[:1]
+    if given["kem"] is not None:
+        for each in found:
+            _note_broken_promise(given["kem"], each.profile)
+    return found
+
+
+def _one_set(given: dict[str, Any]) -> Keystore:
+    """The only set; UsageError if there are several, and none is named."""
+    found, *others = _sets(given)
+    if others:
+        names = ", ".join(each.profile.name for each in (found, *others))
+        raise UsageError(f"the keystore has several sets: name one with --set: {names}")
+    return found
 
 
 def _agreement(kem: str | None) -> KeyAgreement | None:

@@ -30,7 +30,7 @@ from pqsec_pki.domain._shared_rules import FoundParticipant, SharedRules, labels
 from pqsec_pki.domain._sources import ImportSource, LeftOut
 from pqsec_pki.domain.reading import DEFAULT_CA_VALIDITY, desired_in
 from pqsec_pki.errors import UsageError, shown
-from pqsec_pki.keystore import SETTINGS, Keystore
+from pqsec_pki.keystore import SETTINGS, Keystore, refuse_further_sets
 
 Value = TypeVar("Value", bound=Hashable)
 
@@ -65,7 +65,9 @@ def source_at(path: Path, *, now: datetime, domains: DomainSet) -> ImportSource:
     for a source that cannot be read; KeystoreError for another folder.
     """
     if exists(path / SETTINGS):
-        return keystore_source(Keystore.open(path), now)
+        keystore = Keystore.open(path)
+        refuse_further_sets(keystore, "a domain file describes")
+        return keystore_source(keystore, now)
     if is_folder(path):
         return other_keystore_source(path, now)
     if path.suffix == ".xml" and is_sros2_policy(path):

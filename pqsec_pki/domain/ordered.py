@@ -25,6 +25,7 @@ from pqsec_pki.keystore import (
     matching,
     order_entry,
     predates_approvals,
+    refuse_further_sets,
     registration,
 )
 from pqsec_pki.lifecycle import ParticipantSpec, issue
@@ -55,6 +56,7 @@ def ordered_issue(
     VerificationError if not, with everything that is wrong; also if the ledger, by its newest head
     or those in the folder `anchors`, is not whole. UsageError if nothing was ordered.
     """
+    refuse_further_sets(keystore, "an order is for")
     order = asked.order
     if order is None:
         raise UsageError("no registration authority ordered this")

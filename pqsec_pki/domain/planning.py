@@ -24,6 +24,7 @@ from pqsec_pki.keystore import (
     State,
     Status,
     governance_digest,
+    refuse_further_sets,
     signed_governance,
     status,
 )
@@ -70,6 +71,7 @@ def plan(  # noqa: PLR0913 -- the choices are the user's, and by name
         return _part(plan(desired, keystore, now=now, prune=prune, new_keys=new_keys), only)
     if keystore is None:
         return _from_nothing(desired)
+    refuse_further_sets(keystore, "a domain file describes")
     if is_wanted(desired, keystore):
         _refuse_another_name(desired, keystore)
         return plan_profile_change(desired, keystore, now=now)

@@ -34,6 +34,7 @@ from pqsec_pki.keystore import (
     BundleNumbers,
     Keystore,
     bundle_number,
+    refuse_further_sets,
     regular_name,
 )
 from pqsec_pki.problems import Code
@@ -73,6 +74,7 @@ class Bundle:
         participant does not exist or lacks a file, or a file is not the newest by the ledger
         (`CurrentFiles`); UsageError without names.
         """
+        refuse_further_sets(keystore, "a bundle has")
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
             raise UsageError("a bundle needs at least one participant")

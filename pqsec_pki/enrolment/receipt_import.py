@@ -29,6 +29,7 @@ from pqsec_pki.keystore import (
     change,
     compromised_keys_in,
     key_hashes,
+    refuse_further_sets,
 )
 from pqsec_pki.problems import Code, Problem
 
@@ -90,6 +91,7 @@ def record_receipts(
     older: bool = False,
 ) -> list[ImportedReceipt]:
     """Like `import_receipts`, with the content of each file; the paths are for messages."""
+    refuse_further_sets(keystore, "a receipt is of")
     found, problems = _read(files)
     with keystore.hold():
         with keystore.open_ledger() as ledger:

@@ -13,7 +13,7 @@ from pqsec_pki.handshake import (
     WireVersion,
     check_carried,
 )
-from pqsec_pki.keystore import Keystore, enclave_files
+from pqsec_pki.keystore import Keystore, enclave_files, refuse_further_sets
 
 PARTICIPANT_DATA = 676
 """Bytes of `c.pdata` of a stack: Cyclone DDS's, with a GUID and addresses (run)."""
@@ -44,6 +44,7 @@ def sizes_in(
     KeystoreError if a participant lacks a file or has messages that no peer reads, FileError if a
     file cannot be read, MalformedError if the second version cannot carry a document.
     """
+    refuse_further_sets(keystore, "`pqsec estimate` measures")
     for name in keystore.names():
         files = enclave_files(keystore.folder, name)
         certificate, permissions = files[CERTIFICATE], files[PERMISSIONS]

@@ -61,6 +61,7 @@ Questions:
     robots               what each robot runs and should run, by the newest receipts
     superseded           certificates that were replaced and are still valid
     accepted_certificates    the revoked ones that a robot with an older list accepts
+    set_faults           what one set of credentials lacks beside the first, or says otherwise
     delivery             which robots lack the newest revocation list, and what they accept
 """
 
@@ -156,6 +157,7 @@ if TYPE_CHECKING:
         registrations_of,
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
+    from pqsec_pki.keystore.set_faults import faults_of_sets
     from pqsec_pki.keystore.sets import (
         further,
         refuse_further_sets,
@@ -252,6 +254,7 @@ __all__ = [
     "enrolled_by",
     "expanded",
     "faults_of_ledger",
+    "faults_of_sets",
     "files_elsewhere",
     "further",
     "governance_digest",

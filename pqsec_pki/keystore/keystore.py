@@ -28,7 +28,9 @@ from pqsec_pki.errors import (
     InterruptedChangeError,
     KeystoreError,
     MissingError,
+    UsageError,
     located,
+    shown,
 )
 from pqsec_pki.keystore import _journal, _settings, _shared, layout
 from pqsec_pki.keystore._address import LedgerAddress
@@ -105,6 +107,8 @@ class Keystore:
         """
         cls.refuse_occupied(root)
         refuse_without_links(root, "a keystore", hard=True)
+        if ledger and len(profiles) > 1:
+            raise UsageError("a ledger in a database is for a keystore with one profile")
         settings = _settings.settings_file(profiles, domains, ledger)
         made = cls(root, profiles, domains, to_change=True)
         authorities = created(profiles, name, now=now, validity=validity, keys=keys)
@@ -196,6 +200,14 @@ class Keystore:
         """The sets of this keystore, the first one first, each as a value like this one."""
         names = (layout.FIRST, *(each.name for each in self.profiles[1:]))
         return tuple(replace(self, set_name=each) for each in names)
+
+    def of_profile(self, name: str) -> Self:
+        """The set of the profile called `name`; KeystoreError if there is none."""
+        for each in self.sets:
+            if each.profile.name == name:
+                return each
+        known = ", ".join(each.name for each in self.profiles)
+        raise KeystoreError(f"the keystore has no set of profile {shown(name)}: it has {known}")
 
     @property
     def identity_ca(self) -> Certificate:
@@ -518,6 +530,6 @@ def _not_a_keystore(root: Path) -> KeystoreError:
 
 def _parts_in(root: Path) -> list[str]:
     """The parts of a keystore in the folder `root`; `ca init` refuses to overwrite them."""
-    parts = (layout.SETTINGS, layout.PRIVATE, layout.PUBLIC, layout.ENCLAVES)
+    parts = (layout.SETTINGS, layout.PRIVATE, layout.PUBLIC, layout.ENCLAVES, layout.SETS)
     with disk_errors(root):
         return [name for name in parts if (root / name).exists()]

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
@@ -17,9 +18,11 @@ from pqsec_pki.keystore.keystore import Keystore
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Overview:
-    """A keystore, without a private key of it."""
+    """A keystore, or a further set of it, without a private key."""
 
     keystore: Path
+    folder: Path
+    """The folder of the set."""
     profile: Profile
     domains: DomainSet
     keys: str
@@ -33,6 +36,8 @@ class Overview:
     """Whose approvals changes need; empty if they need none, or if the ledger cannot be read."""
     ledger: LedgerAddress | None
     """The database with the ledger; None if it is in a file of the keystore."""
+    further: tuple["Overview", ...] = ()
+    """The further sets of credentials."""
 
     def to_json(self) -> dict[str, object]:
         """The overview for --json."""
@@ -42,17 +47,39 @@ class Overview:
             "domains": str(self.domains),
             "keys": self.keys,
             "key_uris": self.key_uris,
-            "cas": [{"role": role, **each.to_json()} for role, each in self.cas],
+            "cas": self.cas_json,
             "participants": self.participants,
             "approvals": self.approvals or None,
             "ledger": self.ledger.url if self.ledger else None,
+            "further": [
+                {
+                    "folder": each.folder,
+                    **each.profile.to_names(),
+                    "keys": each.keys,
+                    "key_uris": each.key_uris,
+                    "cas": each.cas_json,
+                    "participants": each.participants,
+                }
+                for each in self.further
+            ],
         }
+
+    @property
+    def cas_json(self) -> list[dict[str, object]]:
+        """The CAs for --json."""
+        return [{"role": role, **each.to_json()} for role, each in self.cas]
 
 
 def overview_of(keystore: Keystore) -> Overview:
     """The overview of the keystore; errors as of its CAs' files and folders."""
+    first, *others = map(_of_set, keystore.sets)
+    return replace(first, further=tuple(others))
+
+
+def _of_set(keystore: Keystore) -> Overview:
     return Overview(
         keystore=keystore.root,
+        folder=keystore.folder,
         profile=keystore.profile,
         domains=keystore.domains,
         cas=tuple(_cas(keystore)),

@@ -29,10 +29,10 @@ class State(StrEnum):
     """It begins later: it was made when the clock was ahead, or the clock is behind now."""
     PREVIOUS_CA = "previous-ca"
     """It was issued by an identity CA that has been replaced."""
+    DUE = "due"
     INCOMPLETE = "incomplete"
     """It has no certificate in one of the keystore's sets of credentials, or one that is gone or
     revoked while that of another set is not."""
-    DUE = "due"
     VALID = "valid"
     REVOKED = "revoked"
     GONE = "gone"
@@ -211,7 +211,8 @@ def in_all_sets(
 ) -> list[ParticipantState]:
     """The states of participants in all sets, by name, of those in each set, the first one first.
 
-    The most urgent state of a participant is its state, and the most urgent comparison of files.
+    The most urgent state of a participant is its state. It is INCOMPLETE, and not to be renewed, if
+    the certificate of some sets, but not of all, is gone or revoked: it is issued again.
     """
     found: dict[str, list[ParticipantState]] = {}
     for each in (state for of_set in sets for state in of_set):
@@ -220,15 +221,16 @@ def in_all_sets(
 
 
 def _joined(states: Sequence[ParticipantState], count: int) -> ParticipantState:
-    ends = {State.REVOKED, State.GONE, State.ELSEWHERE}
-    ended = [each.state for each in states if each.state in ends]
-    all_of = [each.state for each in states]
-    if len(states) < count or (ended and len({*all_of}) > 1):
-        all_of = [State.INCOMPLETE, *(each for each in all_of if each not in ends)]
+    found = {each.state for each in states}
+    ended = found & {State.REVOKED, State.GONE, State.ELSEWHERE}
+    if ended and len(found) > 1:
+        found = {State.INCOMPLETE}
+    elif not ended and len(states) < count:
+        found.add(State.INCOMPLETE)
     wrong = (each.files for each in states if each.files is not Files.RIGHT)
     return replace(
         states[0],
-        state=min(all_of, key=list(State).index),
+        state=min(found, key=list(State).index),
         files=next(wrong, Files.RIGHT),
         further=tuple(states[1:]),
     )

@@ -10,8 +10,9 @@ Participants and documents:
     permitting    changes single rights of participants
     growing       whether documents to be signed give more than those that are signed
     revoking      revokes certificates and issues revocation lists
-    _sets         what these changes do in each set of credentials
 CAs:
+    adding        adds a set of credentials of another profile; `_sets` has what other changes do in
+                  each set
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
@@ -28,6 +29,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
+    from pqsec_pki.lifecycle.adding import AddedSet, add_set
     from pqsec_pki.lifecycle.adopting import Adoptable, Adopted, adopt, adoptable
     from pqsec_pki.lifecycle.fetching import fetch_files
     from pqsec_pki.lifecycle.grouping import store_approvals, store_groups
@@ -75,6 +77,7 @@ __all__ = [
     "IN_A_FILE",
     "LIST_VALIDITY",
     "REVOCATIONS",
+    "AddedSet",
     "Adoptable",
     "Adopted",
     "Issued",
@@ -90,6 +93,7 @@ __all__ = [
     "RolloverResult",
     "Scope",
     "add_registration",
+    "add_set",
     "adopt",
     "adoptable",
     "apply_rollover",

@@ -44,10 +44,14 @@ def new_cas(plan: RolloverPlan, now: datetime, keys: Keys = None) -> Authorities
 
 def _name(old: Certificate, number: int) -> str:
     """The start of the new CAs' names: Lab Identity CA -> Lab G2."""
-    found = re.search(r"(?:^|,)CN=([A-Za-z0-9_./ -]+)", old.subject_name)
-    base = (found[1] if found else "").removesuffix("Identity CA").strip()
-    base = re.sub(r"(^| )G[0-9]+$", "", base)
+    base = re.sub(r"(^| )G[0-9]+$", "", name_start(old))
     return f"{base} G{number}".strip()
+
+
+def name_start(ca: Certificate) -> str:
+    """The start of an identity CA's name: that of Lab Identity CA is Lab."""
+    found = re.search(r"(?:^|,)CN=([A-Za-z0-9_./ -]+)", ca.subject_name)
+    return (found[1] if found else "").removesuffix("Identity CA").strip()
 
 
 def next_identity_ca(

@@ -161,6 +161,12 @@ def _refuse_unfit(root: Path) -> None:
             )
         missing = [name for name in _NEEDED if not (root / name).is_file()]
         links = [root / name for name in _FOLDERS if (root / name).is_symlink()]
+        has_sets = os.path.lexists(root / layout.SETS)
+    if has_sets:
+        raise KeystoreError(
+            f"{root / layout.SETS} has further sets of credentials, which would be left behind",
+            hint=f"restore {layout.SETTINGS} from a backup, or move that folder away",
+        )
     if missing:
         raise KeystoreError(
             f"{root} lacks {', '.join(missing)}",

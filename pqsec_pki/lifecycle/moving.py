@@ -12,6 +12,7 @@ from pqsec_pki.keystore import (
     change,
     layout,
     moved_entry,
+    refuse_further_sets,
     settings_file,
 )
 
@@ -40,6 +41,7 @@ def move_ledger(keystore: Keystore, target: LedgerAddress | None, *, now: dateti
     and newer ones, is joined: another machine moved the same ledger there. KeystoreError if the
     database has another ledger, or the ledger is there already.
     """
+    refuse_further_sets(keystore, "a ledger in a database keeps the files of")
     source = keystore.ledger_address
     if source == target:
         raise KeystoreError("the ledger is there already")

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, Profile, profile_named, protection_lost
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, refuse_further_sets
 from pqsec_pki.lifecycle import Rollover, RolloverPlan, plan_rollover
 from pqsec_pki.migration._temporary_folder import temporary_folder
 from pqsec_pki.migration.generations import SAMPLES, Generation, generations, sample
@@ -36,6 +36,7 @@ def plan_migration(
     It takes sample participants through all profiles in a temporary folder. Errors of
     `plan_rollover` if the keystore cannot be rolled over.
     """
+    refuse_further_sets(keystore, "`pqsec migrate` changes")
     path = path_of(keystore.profile, target)
     steps: list[MigrationStep] = []
     with temporary_folder() as folder:

@@ -9,7 +9,7 @@ from pqsec_pki._files import exists
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.credentials import ENCLAVES, KEY
 from pqsec_pki.errors import KeystoreError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, refuse_further_sets
 from pqsec_pki.migration._temporary_folder import temporary_folder
 from pqsec_pki.migration.generations import Generation, generations
 from pqsec_pki.migration.meetings import Side, failure
@@ -61,6 +61,7 @@ def rehearse(keystore: Keystore, target: Profile, *, now: datetime) -> Rehearsal
     killed. KeystoreError if fewer than two participants have their keys here; other errors of a
     rollover.
     """
+    refuse_further_sets(keystore, "`pqsec migrate` changes")
     enclaves = keystore.folder / ENCLAVES
     names = [each for each in keystore.names() if exists(enclaves / each[1:] / KEY)]
     if len(names) < 2:  # noqa: PLR2004 -- a pair

@@ -23,6 +23,7 @@ from pqsec_pki.keystore import (
     Status,
     audit,
     list_delivery,
+    refuse_further_sets,
     robot_states,
     superseded_certificates,
 )
@@ -73,6 +74,7 @@ def report_of(
     It needs no private key. Nothing is raised for a part that cannot be read or is not valid:
     the report has a gap for it.
     """
+    refuse_further_sets(keystore, "a report shows")
     keystore = keystore.as_found  # its evidence says what is wrong
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))

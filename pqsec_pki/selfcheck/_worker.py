@@ -41,6 +41,8 @@ class AllPairsJob:
     """Names of the stacks of a pair; if they differ, each pair is run in both assignments."""
     versions: tuple[WireVersion, ...] = FIRST_ONLY
     """The versions of pqsec's messages."""
+    profile: str | None = None
+    """The profile whose set of credentials is used; None for the first set."""
 
 
 class PartyRef(NamedTuple):
@@ -93,9 +95,9 @@ class Worker:
     @classmethod
     def of(cls, job: AllPairsJob) -> "Worker":
         """KeystoreError if there is no keystore, UnknownAlgorithmError for an unknown name."""
-        wanted = job.key_agreement
+        wanted, opened = job.key_agreement, Keystore.open(job.root)
         setup = HandshakeSetup(
-            keystore=Keystore.open(job.root),
+            keystore=opened.of_profile(job.profile) if job.profile else opened,
             domain=job.domain or 0,
             now=job.now,
             agreement=None if wanted is None else KEY_AGREEMENTS.named(wanted),

@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
-from pqsec_pki.keystore import CurrentFiles, Keystore
+from pqsec_pki.keystore import CurrentFiles, Keystore, refuse_further_sets
 from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
@@ -26,6 +26,7 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     KeystoreError if there is no such participant, or, unless `options.anyway`, a file is not the
     newest by the ledger; FileError if our plugin is not there.
     """
+    refuse_further_sets(keystore, "`pqsec export` configures")
     exporter = exporter_of(stack)
     exporter.refuse_unknown(options)
     _refuse_place(exporter, options)

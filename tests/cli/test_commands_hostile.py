@@ -31,7 +31,7 @@ VALUES = {
     "text": "141",
 }
 """What stands for an argument that is no file; files are there, and seldom the right kind."""
-CHOICES = {"export": "cyclonedds", "schema": "domain", "try": "ros2"}
+CHOICES = {"ca add-set": "hybrid", "export": "cyclonedds", "schema": "domain", "try": "ros2"}
 COMPANY = {
     "apply": "--yes --no-passphrase",
     "apply --passphrase-file": "--yes",

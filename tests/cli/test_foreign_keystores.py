@@ -47,9 +47,9 @@ READING = {
 }
 """Commands that are given a keystore, or files of one, and change nothing: how each is run."""
 CHANGING = {
-    *("ca init", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit", "adopt"),
+    *("ca init", "ca add-set", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit"),
     *("sign-governance", "sign-permissions", "sign-request sign", "receipt import"),
-    *("ra add", "ra revoke", "propose", "ledger move"),
+    *("ra add", "ra revoke", "propose", "ledger move", "adopt"),
 }
 WITHOUT = {
     *("demo", "request", "bundle-key", "install", "rollback", "enrol", "explain-error", "profiles"),

@@ -31,6 +31,8 @@ ADD_THE_DOMAIN = (
 KEYS = {
     "ok",
     "initiator",
+    "profile",
+    "further",
     "replier",
     "why",
     "stacks",

@@ -13,6 +13,7 @@ from pqsec_pki.errors import (
     ExistsError,
     FileError,
     KeystoreError,
+    PassphraseError,
     UsageError,
     VerificationError,
 )
@@ -24,12 +25,15 @@ from pqsec_pki.keystore import (
     change,
     layout,
     read_head,
+    stage_governance,
     status,
 )
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
     Rollover,
+    add_set,
+    adopt,
     changed_permissions,
     issue,
     plan_rollover,
@@ -43,7 +47,9 @@ from pqsec_pki.lifecycle import (
 )
 from pqsec_pki.lifecycle._issuer import PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_shared
+from pqsec_pki.lint import check
 from tests.unit.keystores import DAY, NOW
+from tests.unit.killing import copies, fails, survives
 
 CLASSICAL, HYBRID, PQ = map(profile_named, ("classical", "hybrid", "pq"))
 
@@ -508,10 +514,15 @@ def test_a_participant_that_is_revoked_in_one_set_is_incomplete(keystore):
     assert states(keystore) == {"/listener": "valid", "/talker": "incomplete"}
 
 
-def test_an_expired_participant_is_expired_whatever_else_it_lacks(keystore):
+def test_what_is_to_be_issued_again_does_not_stop_the_renewal_of_others(keystore):
     issued(keystore)
     shutil.rmtree(keystore.sets[1].folder / "enclaves/talker")
-    assert states(keystore, NOW + 200 * DAY) == dict.fromkeys(TWO, "expired")
+    now = NOW + 80 * DAY
+    assert states(keystore, now) == {"/listener": "due", "/talker": "incomplete"}
+    due = status(keystore, now=now).due
+    assert due == ["/listener"]
+    renew(keystore, keystore.unlock(None), due, now=now)
+    one_meaning(keystore, "/listener", now=now)
 
 
 def test_a_list_that_is_gone_in_one_set_is_seen(keystore):
@@ -543,3 +554,251 @@ def test_an_audit_sees_a_set_that_was_taken_out_of_the_settings(keystore):
     rewritten(keystore, algorithms=[CLASSICAL.to_names()])
     with pytest.raises(VerificationError, match="lacks the set of credentials hybrid"):
         audit(Keystore.open(keystore.root))
+
+
+def findings(keystore, now=LATER):
+    found = check([keystore.root], now=now).findings
+    return {(each.rule.id, str(each.path.relative_to(keystore.root))) for each in found}
+
+
+UNENCRYPTED = {
+    ("PQS707", f"{folder}private/{role}_ca.key.pem")
+    for folder in ("", "sets/hybrid/")
+    for role in ("identity", "permissions")
+}
+"""For tests: the keys are not encrypted."""
+
+
+def test_a_check_finds_nothing_wrong_with_several_sets(keystore):
+    issued(keystore)
+    nobody_subscribes = ("PQS345", "enclaves/listener/permissions.p7s")
+    assert findings(keystore) == {*UNENCRYPTED, nobody_subscribes}
+
+
+@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize(
+    "file",
+    [
+        *("enclaves/governance.p7s", "public/identity_ca.crl.pem", "public/identity_ca.cert.pem"),
+        *("enclaves/talker/cert.pem", "enclaves/talker/permissions.p7s"),
+    ],
+)
+def test_a_check_finds_what_is_missing_in_one_set(keystore, number, file):
+    issued(keystore)
+    renew_list(keystore, keystore.unlock(None), now=NOW)
+    path = keystore.sets[number].folder / file
+    path.unlink()
+    assert ("PQS010", str(path.relative_to(keystore.root))) in findings(keystore)
+
+
+def test_a_check_finds_a_set_that_is_gone(keystore):
+    issued(keystore)
+    shutil.rmtree(keystore.root / "sets")
+    assert ("PQS010", "sets/hybrid/public/identity_ca.cert.pem") in findings(keystore)
+
+
+@pytest.mark.parametrize("place", ["enclaves/governance", "enclaves/talker/permissions"])
+def test_a_check_finds_a_document_that_says_something_else_in_one_set(keystore, place):
+    issued(keystore)
+    second = keystore.sets[1].folder
+    document = (second / f"{place}.xml").read_bytes().replace(b"<dds ", b"<dds  ")
+    signed = keystore.unlock(None).sets[1].sign(document, number=99, now=NOW)
+    (second / f"{place}.p7s").write_bytes(signed)
+    assert ("PQS010", f"sets/hybrid/{place}.p7s") in findings(keystore)
+
+
+# Adding a set to a keystore that runs
+
+
+@pytest.fixture
+def running(tmp_path):
+    """A keystore with one set, two participants and a revocation list."""
+    keystore = create(tmp_path / "running", CLASSICAL)
+    issued(keystore, *TWO, "/gone")
+    revoke(keystore, keystore.unlock(None), ["/gone"], now=NOW)
+    return keystore
+
+
+def added(keystore, profile=HYBRID, now=LATER, **others):
+    return add_set(
+        keystore,
+        keystore.unlock(None),
+        profile,
+        validity=900 * DAY,
+        passphrase=None,
+        now=now,
+        **others,
+    )
+
+
+def files_of(folder):
+    """The content of each file, and the target of each link, below these folders of a set."""
+    return {
+        str(path.relative_to(folder)): path.readlink() if path.is_symlink() else path.read_bytes()
+        for part in ("public", "private", "enclaves")
+        for path in sorted((folder / part).rglob("*"))
+        if path.is_symlink() or path.is_file()
+    }
+
+
+ABOUT_THE_LEDGER = {
+    *("private/ledger.sqlite3", "public/ledger.checkpoint", "public/ledger.tree"),
+    "private/seen.json",
+}
+
+
+def test_adding_a_set_changes_no_octet_of_the_files_of_the_first_set(running):
+    before = files_of(running.root)
+    found = added(running)
+    after = files_of(running.root)
+    assert before.keys() == after.keys()
+    assert {each for each in before if before[each] != after[each]} <= ABOUT_THE_LEDGER
+    assert [each.name for each in found.issued] == list(TWO)
+    assert found.left == ()
+
+
+def test_an_added_set_has_the_meaning_of_the_first_one(running):
+    added(running)
+    keystore = Keystore.open(running.root, to_change=True)
+    assert [each.profile for each in keystore.sets] == [CLASSICAL, HYBRID]
+    one_meaning_but_numbers(keystore, *TWO)
+    lists = [each.revocation_list for each in keystore.sets]
+    assert [each.number for each in lists] == [1, 1]
+    assert states(keystore) == {
+        "/gone": "revoked",
+        **dict.fromkeys(TWO, "valid"),
+    }
+
+
+def test_from_then_on_all_sets_change_together(running):
+    added(running)
+    keystore = Keystore.open(running.root, to_change=True)
+    authorities, later = keystore.unlock(None), LATER + DAY
+    renew(keystore, authorities, ["/talker"], now=later)
+    one_meaning(keystore, "/talker", now=later)
+    issue(keystore, authorities, [spec("/new")], now=later)
+    one_meaning(keystore, "/new", now=later)
+    revoke(keystore, authorities, ["/listener"], now=later)
+    assert [each.revocation_list.number for each in keystore.sets] == [2, 2]
+    assert [len(each.revocation_list.revoked) for each in keystore.sets] == [2, 1]
+
+
+def test_a_third_set_is_added_too(running):
+    added(running)
+    keystore = Keystore.open(running.root, to_change=True)
+    before = [files_of(each.folder) for each in keystore.sets]
+    added(keystore, PQ)
+    changed = {
+        each
+        for old, view in zip(before, keystore.sets, strict=True)
+        for each, data in files_of(view.folder).items()
+        if old[each] != data
+    }
+    assert changed <= ABOUT_THE_LEDGER
+    one_meaning_but_numbers(Keystore.open(running.root), *TWO)
+
+
+def test_a_participant_whose_key_is_elsewhere_is_left_and_seen(running):
+    (running.root / "enclaves/talker/key.pem").unlink()
+    found = added(running)
+    assert found.left == ("/talker",)
+    keystore = Keystore.open(running.root, to_change=True)
+    assert states(keystore)["/talker"] == "incomplete"
+    assert states(keystore, NOW + 80 * DAY)["/talker"] == "due"
+    renew(keystore, keystore.unlock(None), ["/talker"], now=LATER)
+    assert not (keystore.sets[1].folder / "enclaves/talker").exists()
+
+
+def test_a_set_that_is_there_is_not_added(running):
+    with pytest.raises(ExistsError, match="a set of profile classical already"):
+        added(running, CLASSICAL)
+
+
+def test_a_folder_that_lies_in_the_place_of_a_set_is_not_taken_for_it(running):
+    (running.root / "sets/hybrid/enclaves/talker").mkdir(parents=True)
+    with pytest.raises(ExistsError, match="is not a set of this keystore"):
+        added(running)
+    with pytest.raises(ExistsError, match="already has"):
+        create(running.root)
+
+
+def test_a_keystore_with_sets_that_lost_its_settings_is_not_adopted(keystore):
+    (keystore.root / "pqsec.json").unlink()
+    with pytest.raises(KeystoreError, match="which would be left behind"):
+        adopt(keystore.root, now=LATER)
+
+
+@pytest.mark.parametrize("folder", ["", "/hybrid", "/hybrid/public", "/hybrid/private"])
+def test_a_further_set_that_others_could_change_is_not_changed(keystore, folder):
+    (keystore.root / f"sets{folder}").chmod(0o777)
+    with pytest.raises(KeystoreError, match=f"sets{folder}"):
+        Keystore.open(keystore.root, to_change=True)
+
+
+def test_a_document_that_pqsec_would_write_otherwise_stops_the_addition(running):
+    path = running.root / "enclaves/governance.xml"
+    authorities = running.unlock(None)
+    document = path.read_bytes().replace(b"<domain_access_rules>", b"<domain_access_rules >")
+    with change(running.root, authorities) as transaction:
+        stage_governance(transaction.of(""), authorities, document, now=NOW)
+    before = files_of(running.root)
+    with pytest.raises(KeystoreError, match="has another form than pqsec writes"):
+        added(running)
+    assert files_of(running.root) == before
+    assert not (running.root / "sets").exists()
+
+
+def test_the_new_cas_keep_the_passphrase_and_have_names_of_their_own(tmp_path):
+    keystore = Keystore.create(
+        tmp_path / "k",
+        CLASSICAL,
+        name="Lab",
+        domains=DomainSet.of(0),
+        validity=900 * DAY,
+        passphrase=b"secret words",
+        now=NOW,
+    )
+    authorities = keystore.unlock(b"secret words")
+    choices = {"validity": 900 * DAY, "passphrase": b"secret words", "now": NOW}
+    add_set(keystore, authorities, HYBRID, **choices)
+    opened = Keystore.open(tmp_path / "k", to_change=True)
+    assert opened.is_locked()
+    assert opened.sets[1].identity_ca.subject_name == "CN=Lab hybrid Identity CA"
+    with pytest.raises(PassphraseError):
+        opened.unlock(b"other")
+    opened.unlock(b"secret words")
+
+
+# All or none, wherever the process dies
+
+
+@pytest.mark.parametrize("trial", [survives, fails], ids=["killed", "disk refuses"])
+@pytest.mark.parametrize(
+    "work",
+    [
+        pytest.param(lambda keystore: issued(keystore, "/new", now=LATER), id="issue"),
+        pytest.param(
+            lambda keystore: revoke(keystore, keystore.unlock(None), ["/talker"], now=LATER),
+            id="revoke",
+        ),
+        pytest.param(lambda keystore: added(keystore, PQ), id="add"),
+    ],
+)
+def test_a_change_is_made_in_all_sets_or_in_none(running, place, trial, work):
+    added(running)
+    outcomes = []
+    disturbed = copies(
+        place, running.root, lambda root: work(Keystore.open(root, to_change=True)), trial, every=13
+    )
+    for root, _ in disturbed:
+        Keystore.recover(root)
+        keystore = Keystore.open(root, to_change=True)
+        audit(keystore)
+        made = [
+            (each.has("/new"), each.revocation_list.number, len(keystore.sets))
+            for each in keystore.sets
+        ]
+        assert len({*made}) == 1
+        one_meaning_but_numbers(keystore, *(["/new"] if made[0][0] else []))
+        outcomes.append(made[0])
+    assert len({*outcomes}) == 2

@@ -75,6 +75,7 @@ def test_who_is_revoked_or_gone_comes_last_and_is_not_due(keystore):
         "not-yet-valid": 0,
         "previous-ca": 0,
         "due": 1,
+        "incomplete": 0,
         "valid": 0,
         "revoked": 1,
         "gone": 1,

@@ -134,9 +134,10 @@ def same_name(inventory: Inventory) -> Iterator[Violation]:
 
 
 def _without_set(folder: Path) -> Path:
-    """The folder without the number of its set: a robot keeps the set before the current one."""
+    """The folder as in the first set of a keystore, or on a robot without the number of the set: a
+    robot keeps the one before the current one."""
     parts = folder.parts
     if _SETS not in parts:
         return folder
     place = len(parts) - parts[::-1].index(_SETS)
-    return Path(*parts[:place], *parts[place + 1 :])
+    return Path(*parts[: place - 1], *parts[place + 1 :])

@@ -1,0 +1,90 @@
+"""What one set of credentials of a keystore lacks beside the first, or says otherwise.
+
+Which sets a keystore has is in its settings and in its ledger, not in its folders. Signatures are
+checked elsewhere: here, only what the sets have in common is compared.
+"""
+
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from typing import TypeVar
+
+from pqsec_pki._files import exists, read
+from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import layout
+from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.smime import document_in
+
+Found = TypeVar("Found")
+_OF_ALL = (
+    f"{layout.PUBLIC}/{layout.IDENTITY_CA}",
+    f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}",
+    f"{layout.ENCLAVES}/{layout.GOVERNANCE}",
+)
+_GOVERNANCE = f"{layout.ENCLAVES}/{layout.GOVERNANCE}"
+_LIST = layout.LIST_TARGET[layout.LIST]
+
+
+def faults_of_sets(keystore: Keystore) -> Iterator[tuple[Path, str]]:
+    """The file, and what is wrong, for each thing that one set lacks or has otherwise.
+
+    Nothing for a keystore with one set. What cannot be read is left to other checks.
+    """
+    first, *others = keystore.sets
+    for each in others:
+        yield from _missing(first, each)
+        yield from _different(first, each)
+
+
+def _missing(first: Keystore, other: Keystore) -> Iterator[tuple[Path, str]]:
+    places = [*_OF_ALL]
+    if first.has_revocation_list or other.has_revocation_list:
+        places.append(_LIST)
+    for name in sorted({*_names(first), *_names(other)}):
+        folder = layout.enclave_folder(name)
+        places += [f"{folder}/{each}" for each in (layout.CERTIFICATE, layout.PERMISSIONS)]
+    for place in places:
+        for one, beside in ((first, other), (other, first)):
+            if not exists(one.folder / place) and exists(beside.folder / place):
+                yield one.folder / place, f"is missing; {beside.folder} has it"
+
+
+def _names(keystore: Keystore) -> list[str]:
+    """The participants; none without the folder of enclaves, which is a fault of its own."""
+    return keystore.names() if exists(keystore.folder / layout.ENCLAVES) else []
+
+
+def _different(first: Keystore, other: Keystore) -> Iterator[tuple[Path, str]]:
+    """Documents with other content, certificates with another subject, and keys of two sets."""
+    yield from _unlike(first, other, _GOVERNANCE, _document, "says something else than")
+    for name in _names(first):
+        folder = layout.enclave_folder(name)
+        signed, certificate = f"{folder}/{layout.PERMISSIONS}", f"{folder}/{layout.CERTIFICATE}"
+        yield from _unlike(first, other, signed, _document, "says something else than")
+        yield from _unlike(first, other, certificate, _subject, "has another subject than")
+        yield from _alike(first, other, certificate)
+
+
+def _unlike(
+    first: Keystore, other: Keystore, place: str, content: Callable[[Path], Found], words: str
+) -> Iterator[tuple[Path, str]]:
+    mine, theirs = first.folder / place, other.folder / place
+    with suppress(PqsecError):
+        if content(mine) != content(theirs):
+            yield theirs, f"{words} {mine}"
+
+
+def _alike(first: Keystore, other: Keystore, place: str) -> Iterator[tuple[Path, str]]:
+    mine, theirs = first.folder / place, other.folder / place
+    with suppress(PqsecError):
+        if load_certificate(mine).spki == load_certificate(theirs).spki:
+            yield theirs, f"has the key of {mine}"
+
+
+def _document(path: Path) -> bytes:
+    return document_in(read(path)).replace(b"\r\n", b"\n")
+
+
+def _subject(path: Path) -> bytes:
+    return load_certificate(path).subject_der

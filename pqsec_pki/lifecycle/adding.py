@@ -1,0 +1,236 @@
+"""Adds a set of credentials of another profile to a keystore that runs, beside what it has.
+
+No file of the sets before changes: new CAs sign the same governance and permissions, octet for
+octet, and certify new keys of the same participants, all in one change.
+"""
+
+from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
+
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki._files import exists
+from pqsec_pki._processes import shared_out
+from pqsec_pki.algorithms import Profile
+from pqsec_pki.approvals import Covered
+from pqsec_pki.credentials import TrustAnchors
+from pqsec_pki.documents import Governance, Permissions
+from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
+from pqsec_pki.keystore import (
+    GITIGNORE,
+    WAIT,
+    Authorities,
+    CurrentFiles,
+    Keystore,
+    Ledger,
+    SetChange,
+    StagedFolder,
+    Transaction,
+    change,
+    further,
+    governance_digest,
+    keystore_ignored,
+    layout,
+    refuse_overlap,
+    settings_file,
+    stage_cas,
+    stage_governance,
+    together,
+)
+from pqsec_pki.lifecycle._ca_changes import name_start
+from pqsec_pki.lifecycle._inspector import Inspector
+from pqsec_pki.lifecycle._issuer import Issued, Issuer
+from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
+
+_SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AddedSet:
+    """A set of credentials that was added."""
+
+    keystore: Keystore
+    """The new set."""
+    issued: tuple[Issued, ...]
+    left: tuple[str, ...]
+    """Participants without credentials of the new set: their keys are not here, or their
+    certificate has ended or was issued by a CA that has been replaced."""
+
+
+def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
+    keystore: Keystore,
+    authorities: Authorities,
+    profile: Profile,
+    *,
+    name: str | None = None,
+    validity: timedelta,
+    passphrase: bytes | None,
+    now: datetime,
+) -> AddedSet:
+    """Add a set of that profile, with new CAs and for all participants whose keys are here.
+
+    The CAs are named `name` [default: as those of the first set], and the profile's name. Their
+    keys are encrypted under `passphrase`. ExistsError if there is such a set; KeystoreError while
+    two identity CAs are trusted, with a ledger in a database, and for a document or a subject that
+    pqsec would write otherwise; UsageError if a CA would have the name of another.
+    """
+    if profile.name in {each.name for each in keystore.profiles}:
+        raise ExistsError(f"the keystore has a set of profile {profile.name} already")
+    if keystore.ledger_address:
+        raise KeystoreError("a ledger in a database is for a keystore with one profile")
+    there = keystore.root / layout.in_set(profile.name, "")
+    if exists(there, follow=False):
+        raise ExistsError(
+            f"{there} exists, and is not a set of this keystore",
+            hint="move it away: its files would be taken for those of the new set",
+        )
+    first = keystore.sets[0]
+    start = name_start(first.identity_ca) if name is None else name
+    with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
+        keystore.refuse_unapproved(Covered.ROTATE)
+        refuse_overlap(first, WAIT)
+        new = further(profile, start, now=now, validity=validity)
+        _refuse_known_names(authorities, new)
+        view = replace(first, profiles=(*keystore.profiles, profile), set_name=profile.name)
+        cas = together([*authorities.sets, new])
+        transaction.authorities = cas
+        addition = _Addition(first, view, cas, transaction, ledger, now)
+        _stage_settings(view, transaction)
+        addition.stage_shared(passphrase)
+        issued, left = addition.issue()
+    return AddedSet(keystore=view, issued=tuple(issued), left=tuple(left))
+
+
+def _refuse_known_names(authorities: Authorities, new: Authorities) -> None:
+    known = {ca.certificate.subject_der for each in authorities.sets for ca in each.all}
+    for ca in new.all:
+        if ca.certificate.subject_der in known:  # issuers are found by name
+            raise UsageError(
+                f"{ca.certificate.subject_name} is the name of another CA of this keystore",
+                hint="choose another --name",
+            )
+
+
+def _stage_settings(keystore: Keystore, transaction: Transaction) -> None:
+    beside = transaction.folder(".", private=False)
+    beside.public(layout.SETTINGS, settings_file(keystore.profiles, keystore.domains))
+    if exists(keystore.root / GITIGNORE, follow=False):
+        beside.public(GITIGNORE, keystore_ignored(keystore.root))
+
+
+@dataclass(frozen=True, slots=True)
+class _Addition:
+    first: Keystore
+    new: Keystore
+    cas: Authorities
+    """Those of the first set, which know those of the others; the last are the new ones."""
+    transaction: Transaction
+    ledger: Ledger
+    now: datetime
+
+    @property
+    def authorities(self) -> Authorities:
+        """The CAs of the new set."""
+        return self.cas.others[-1]
+
+    @property
+    def part(self) -> SetChange:
+        return self.transaction.of(self.new.set_name)
+
+    def stage_shared(self, passphrase: bytes | None) -> None:
+        """Stage the CAs, the governance and, if the first set has one, a revocation list."""
+        stage_cas(self.part, self.authorities, passphrase, self.now)
+        with CurrentFiles.of(self.first) as current:
+            signed, has_list = current.shared[layout.GOVERNANCE], layout.LIST in current.shared
+        document = _document(self.first.anchors, signed)
+        if Governance.from_xml(document).to_xml() != document:
+            raise _other_form(
+                self.first.folder / layout.ENCLAVES / layout.GOVERNANCE,
+                "`pqsec sign-governance` with its XML file and --force",
+            )
+        digest = governance_digest(self.first) or ""
+        stage_governance(self.part, self.authorities, document, now=self.now, config_digest=digest)
+        if has_list:
+            before = Publisher(self.first, self.cas.identity, self.ledger, self.now)
+            own = self.ledger.of(self.new.set_name)
+            publisher = Publisher(self.new, self.authorities.identity, own, self.now)
+            publisher.stage(self.part, [], before.last_number, LIST_VALIDITY)
+
+    def issue(self) -> tuple[list[Issued], list[str]]:
+        """Issue the participants whose keys are here; and the names of the others."""
+        inspector = Inspector.of(self.first, self.ledger, now=self.now)
+        names = [each for each in self.first.names() if each in inspector.participants]
+        names = [each for each in names if not inspector.participants[each].revoked]
+        chosen = [each for each in names if self._can_be_issued(inspector, each)]
+        folders = [self.part.folder(layout.enclave_folder(name), private=True) for name in chosen]
+        issuer = Issuer(self.new, self.authorities, self.transaction.number, self.now)
+        shared = self._shared()
+
+        def make(name: str, folder: StagedFolder) -> Issued:
+            return _issued(issuer, inspector, shared, name, folder)
+
+        issued = shared_out(make, chosen, folders)
+        for each in issued:
+            self.part.record(*each.entries)
+        return issued, sorted({*names} - {*chosen})
+
+    def _can_be_issued(self, inspector: Inspector, name: str) -> bool:
+        known = inspector.participants[name]
+        is_current = not known.issued_by_previous_ca and known.not_after > self.now
+        return is_current and self.first.has_key(name)
+
+    def _shared(self) -> dict[str, str]:
+        """The shared files that the enclaves of the new set link to."""
+        alternative = layout.ALT_TARGET if self.authorities.countersigner else {}
+        has_list = self.transaction.stages(
+            layout.in_set(self.new.set_name, layout.PUBLIC), layout.CA_LIST
+        )
+        return _SHARED | alternative | (layout.LIST_TARGET if has_list else {})
+
+
+def _issued(
+    issuer: Issuer,
+    inspector: Inspector,
+    shared: dict[str, str],
+    name: str,
+    folder: StagedFolder,
+) -> Issued:
+    """New keys and a certificate that ends with that of the first set, and its permissions."""
+    there = inspector.keystore.folder / layout.enclave_folder(name)
+    old = inspector.certificate(name, there)
+    if old.subject_name != f"CN={name}":
+        raise _other_form(there / layout.CERTIFICATE, f"`pqsec renew {name}`")
+    permissions, digest = None, ""
+    if not inspector.lacks_permissions(name, there):
+        document = _document(inspector.anchors, inspector.signed_permissions(name, there))
+        permissions = Permissions.from_xml(document)
+        digest = inspector.config_digest(name, there)
+        if permissions.to_xml() != document:
+            raise _other_form(there / layout.PERMISSIONS, f"`pqsec renew {name}`")
+    keys = issuer.new_keys(folder)
+    certificate = issuer.authorities.identity.issue(
+        name,
+        keys.key,
+        alternative=keys.alternative,
+        number=issuer.number,
+        now=issuer.now,
+        validity=old.not_after - issuer.now,
+    )
+    for link, target in layout.shared_links(name, shared).items():
+        folder.link(link, target)
+    return issuer.stage(
+        folder, name, certificate, permissions, asked=old.not_after, config_digest=digest
+    )
+
+
+def _document(anchors: TrustAnchors, signed: bytes) -> bytes:
+    """The document in a signed file, with the ends of lines of our files."""
+    return anchors.signed(signed).document.replace(b"\r\n", b"\n")
+
+
+def _other_form(path: Path, way_out: str) -> KeystoreError:
+    """The error for what the new set could not have in the same form."""
+    return KeystoreError(
+        f"{path} has another form than pqsec writes: the sets would differ",
+        hint=f"{way_out} first",
+    )

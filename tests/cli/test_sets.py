@@ -1,0 +1,152 @@
+"""Keystores with several sets of credentials, by commands."""
+
+import json
+
+import pytest
+
+TWO = "classical,hybrid"
+
+
+@pytest.fixture
+def k(pqsec, tmp_path):
+    """A keystore with two sets and two participants, in k."""
+    pqsec(f"-k k ca init --profile {TWO} --no-passphrase").done()
+    pqsec("-k k issue /talker --publish chatter").done()
+    pqsec("-k k issue /listener --subscribe chatter").done()
+    return tmp_path / "k"
+
+
+def test_init_makes_a_set_for_each_profile(pqsec, tmp_path):
+    out = pqsec(f"-k k ca init --name Lab --profile {TWO} --no-passphrase").done().out
+    assert "profile classical" in out
+    assert "set            k/sets/hybrid (profile hybrid" in out
+    settings = json.loads((tmp_path / "k/pqsec.json").read_text())
+    assert [each["profile"] for each in settings["algorithms"]] == TWO.split(",")
+    [further] = pqsec("-k k ca show --json").done().json["further"]
+    assert further["profile"] == "hybrid"
+    assert further["cas"][0]["subject"] == "CN=Lab hybrid Identity CA"
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ("--profile classical,other", "'other' is not one of"),
+        ("--profile classical,", "'' is not one of"),
+        ("--profile classical,hybrid,classical", "profile classical is given twice"),
+        ("--profile classical,pq --kem mlkem768", "are for a keystore with one profile"),
+        (
+            "--profile classical,pq --ledger postgresql://u@h/d",
+            "a ledger in a database is for a keystore with one profile",
+        ),
+    ],
+)
+def test_lists_of_profiles_that_cannot_be_are_usage_errors(pqsec, tmp_path, options, words):
+    pqsec(f"-k k ca init --no-passphrase {options}").refused(2, words)
+    assert not (tmp_path / "k").exists()
+
+
+def test_issue_prints_the_place_in_each_set(pqsec, k):
+    del k
+    out = pqsec("-k k issue /new --publish x").done().out
+    assert "k/enclaves/new" in out
+    assert "k/sets/hybrid/enclaves/new" in out
+
+
+def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
+    (k / "sets/hybrid/enclaves/talker/cert.pem").unlink()
+    done = pqsec("-k k status").done()
+    assert "profile classical, hybrid" in done.out
+    assert "1 incomplete, 1 valid" in done.out
+    assert "(set hybrid)" in done.out
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "bundle /talker",
+        "ca rotate --profile pq",
+        "ca show --pins",
+        "ca crl --show -o x",
+        "export cyclonedds /talker",
+        "ledger move postgresql://u@h/d",
+        "report -o x",
+        "estimate",
+        "migrate plan --to pq",
+        "domain import k",
+        "receipt import x",
+        "sign-governance k/enclaves/governance.xml -o x.p7s",
+    ],
+)
+def test_what_handles_one_set_refuses_several(pqsec, k, tmp_path, line):
+    del k
+    before = sorted(tmp_path.rglob("*"))
+    done = pqsec(f"-k k {line}")
+    assert done.code == 3
+    assert "further sets of credentials (hybrid)" in done.err
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_a_set_is_added_to_a_keystore_that_runs(pqsec, tmp_path):
+    pqsec("-k k ca init --name Lab --profile classical --no-passphrase").done()
+    pqsec("-k k issue /talker --publish chatter").done()
+    before = (tmp_path / "k/enclaves/talker/cert.pem").read_bytes()
+    done = pqsec("-k k ca add-set hybrid").done()
+    assert "k/sets/hybrid/enclaves/talker" in done.out
+    assert (tmp_path / "k/enclaves/talker/cert.pem").read_bytes() == before
+    pqsec("-k k log --verify").done()
+    pqsec("-k k ca add-set hybrid").refused(3, "a set of profile hybrid already")
+
+
+def test_a_passphrase_is_of_all_sets(pqsec, tmp_path):
+    for name in ("old", "new"):
+        (tmp_path / name).write_text(f"{name} horse battery staple")
+        (tmp_path / name).chmod(0o600)
+    pqsec(f"-k k ca init --profile {TWO} --passphrase-file old").done()
+    out = pqsec("-k k ca passphrase --passphrase-file old --new-passphrase-file new").done().out
+    assert out.count("encrypted again") == 4
+    pqsec("-k k issue /a --publish x --passphrase-file old").refused(3, "passphrase")
+    pqsec("-k k issue /a --publish x --passphrase-file new").done()
+
+
+# The handshake, in each set
+
+
+def test_a_handshake_is_run_in_each_set(pqsec, k):
+    del k
+    done = pqsec("-k k verify-handshake /talker /listener").done()
+    assert "set hybrid" in done.out
+    value = pqsec("-k k verify-handshake /talker /listener --json").done().json
+    assert [value["profile"], *(each["profile"] for each in value["further"])] == TWO.split(",")
+    assert value["ok"]
+    assert all(each["ok"] for each in value["further"])
+
+
+@pytest.mark.parametrize("number", [0, 1])
+def test_a_handshake_fails_if_it_fails_in_one_set(pqsec, k, number):
+    folder = (k, k / "sets/hybrid")[number]
+    (folder / "enclaves/talker/permissions.p7s").write_bytes(
+        (folder / "enclaves/listener/permissions.p7s").read_bytes()
+    )
+    assert pqsec("-k k verify-handshake /talker /listener").code == 1
+
+
+def test_a_stock_stack_is_only_met_with_what_it_can_use(pqsec, k):
+    del k
+    line = "-k k verify-handshake /talker /listener --as cyclonedds --json"
+    assert pqsec(line).done().json["further"] == []
+
+
+def test_one_set_is_named_for_what_takes_one(pqsec, k):
+    del k
+    for more in ("--all", "/talker /listener --trace -", "/talker /listener --attack all"):
+        pqsec(f"-k k verify-handshake {more}").refused(2, "name one with --set: classical, hybrid")
+    pqsec("-k k verify-handshake --all --set hybrid").done()
+    pqsec("-k k verify-handshake /talker /listener --set hybrid").done()
+    pqsec("-k k verify-handshake --all --set pq").refused(3, "it has classical, hybrid")
+
+
+def test_a_check_finds_what_a_set_lacks(pqsec, k):
+    (k / "sets/hybrid/enclaves/talker/permissions.p7s").unlink()
+    done = pqsec("check k")
+    assert done.code == 1
+    assert "PQS010 is missing; k has it" in done.out
