@@ -15,7 +15,7 @@ from pqsec_pki.lint.subjects import Inventory
     " `pqsec sign-governance` signs the governance in all sets, `pqsec ca crl` issues all lists.",
     bad="""
         $ pqsec -k k ca add-set hybrid
-        $ rm -r k/sets/hybrid/enclaves/talker
+        $ mv k/sets/hybrid/enclaves/talker elsewhere/
     """,
     good="$ pqsec -k k issue /talker --publish chatter --force",
 )  # fmt: skip
