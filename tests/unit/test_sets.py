@@ -262,9 +262,14 @@ def test_many_participants_made_by_several_processes_have_one_meaning(keystore):
     one_meaning(keystore, *names)
 
 
-def test_certificates_of_all_sets_end_with_the_first_of_their_cas(keystore):
-    authorities = keystore.unlock(None)
-    issue(keystore, authorities, [spec("/talker", validity=2000 * DAY)], now=LATER)
+def test_certificates_of_all_sets_end_with_the_first_of_their_cas(tmp_path):
+    keystore = create(tmp_path / "k", CLASSICAL)
+    add_set(keystore, keystore.unlock(None), HYBRID, validity=40 * DAY, passphrase=None, now=NOW)
+    keystore = Keystore.open(keystore.root, to_change=True)
+    [made] = issue(keystore, keystore.unlock(None), [spec("/talker")], now=LATER)
+    assert made.shortened
+    one_meaning(keystore, "/talker", now=LATER)
+    renew(keystore, keystore.unlock(None), ["/talker"], Renewal(validity=90 * DAY), now=LATER)
     one_meaning(keystore, "/talker", now=LATER)
 
 
