@@ -7,6 +7,7 @@ octet, and certify new keys of the same participants, all in one change.
 from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
+from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
@@ -144,9 +145,11 @@ class _Addition:
             signed, has_list = current.shared[layout.GOVERNANCE], layout.LIST in current.shared
         document = _document(self.first.anchors, signed)
         if Governance.from_xml(document).to_xml() != document:
+            enclaves = self.first.folder / layout.ENCLAVES
+            root, edited = quote(str(self.first.root)), quote(str(enclaves / layout.GOVERNANCE_XML))
             raise _other_form(
-                self.first.folder / layout.ENCLAVES / layout.GOVERNANCE,
-                "`pqsec sign-governance` with its XML file and --force",
+                enclaves / layout.GOVERNANCE,
+                f"review governance.xml and `pqsec -k {root} sign-governance {edited} --force`",
             )
         digest = governance_digest(self.first) or ""
         stage_governance(self.part, self.authorities, document, now=self.now, config_digest=digest)
@@ -199,14 +202,14 @@ def _issued(
     there = inspector.keystore.folder / layout.enclave_folder(name)
     old = inspector.certificate(name, there)
     if old.subject_name != f"CN={name}":
-        raise _other_form(there / layout.CERTIFICATE, f"`pqsec renew {name}`")
+        raise _other_form(there / layout.CERTIFICATE, _renewal(inspector.keystore, name))
     permissions, digest = None, ""
     if not inspector.lacks_permissions(name, there):
         document = _document(inspector.anchors, inspector.signed_permissions(name, there))
         permissions = Permissions.from_xml(document)
         digest = inspector.config_digest(name, there)
         if permissions.to_xml() != document:
-            raise _other_form(there / layout.PERMISSIONS, f"`pqsec renew {name}`")
+            raise _other_form(there / layout.PERMISSIONS, _renewal(inspector.keystore, name))
     keys = issuer.new_keys(folder)
     certificate = issuer.authorities.identity.issue(
         name,
@@ -228,9 +231,13 @@ def _document(anchors: TrustAnchors, signed: bytes) -> bytes:
     return anchors.signed(signed).document.replace(b"\r\n", b"\n")
 
 
+def _renewal(keystore: Keystore, name: str) -> str:
+    return f"`pqsec -k {quote(str(keystore.root))} renew {quote(name)}`"
+
+
 def _other_form(path: Path, way_out: str) -> KeystoreError:
     """The error for what the new set could not have in the same form."""
     return KeystoreError(
         f"{path} has another form than pqsec writes: the sets would differ",
-        hint=f"{way_out} first",
+        hint=way_out,
     )

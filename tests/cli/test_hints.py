@@ -56,6 +56,12 @@ JUSTIFIED = {
     " signed file, or review governance.xml and `pqsec -k * sign-governance * --force`": (
         "it replaces a governance that no stack accepts, and says to review it first"
     ),
+    "review governance.xml and `pqsec -k * sign-governance * --force`": (
+        "it signs what is signed in the form of pqsec, and says to review it first"
+    ),
+    "Issue the participant again, in all sets: `pqsec issue NAME --force` with all its rights."
+    " `pqsec sign-governance` signs the governance in all sets, `pqsec ca crl` issues all"
+    " lists.": SAYS_WHAT,
     "`pqsec verify-handshake` asks the token. For a key in a file: `pqsec issue --force"
     " --participant-key-uri file`, with all rights of the participant.": SAYS_WHAT,
     "*issue it with a key in a file, and all its rights: --force --participant-key-uri file": (

@@ -747,8 +747,9 @@ def test_a_document_that_pqsec_would_write_otherwise_stops_the_addition(running)
     with change(running.root, authorities) as transaction:
         stage_governance(transaction.of(""), authorities, document, now=NOW)
     before = files_of(running.root)
-    with pytest.raises(KeystoreError, match="has another form than pqsec writes"):
+    with pytest.raises(KeystoreError, match="has another form than pqsec writes") as refused:
         added(running)
+    assert "sign-governance" in refused.value.hint
     assert files_of(running.root) == before
     assert not (running.root / "sets").exists()
 
