@@ -22,6 +22,11 @@ MAX_DOCUMENT = 8 << 20
 MAX_PROBLEMS = 100
 """More do not help a reader, and a hostile document has a million."""
 
+XSI = "{http://www.w3.org/2001/XMLSchema-instance}"
+"""The namespace whose attributes an XML schema allows on every element (XML Schema 1, 2.6)."""
+XSI_LOCATIONS = frozenset({f"{XSI}schemaLocation", f"{XSI}noNamespaceSchemaLocation"})
+"""Hints where a schema may be, for editors. Nothing here follows them."""
+
 _MARKUP = {"Comment": "a comment", "ProcessingInstruction": "a processing instruction"}
 _CDATA = "<![CDATA["
 
