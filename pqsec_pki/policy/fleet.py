@@ -24,7 +24,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import SETTINGS, CurrentFiles, Keystore, expanded
+from pqsec_pki.keystore import SETTINGS, CurrentFiles, Keystore, expanded, public_files
 from pqsec_pki.policy.loading import Document, document_at, governance_in
 from pqsec_pki.policy.participants import (
     PolicyInput,
@@ -107,18 +107,19 @@ def _fleet_of(
     governance = shared_governance(keystore, check)
     members, refused = list[DocumentOwner](), dict[str, str]()
     inputs = dict[str, PolicyInput]()
-    names = keystore.names_of_all()
+    names, linked = keystore.names_of_all(), dict[str, bytes]()
     for name in counted(names, len(names), "participants"):
         try:
-            certificate = identity_of(keystore, name, anchors, now)
+            files = public_files(keystore.root, name, linked)
+            certificate = identity_of(keystore, name, anchors, now, files)
             subject = certificate.subject_name
-            own = own_permissions(keystore, name, now, check)
+            own = own_permissions(keystore, name, now, check, files)
             with located(own.path):
                 _refuse_ungranted(own.value, subject, now, readings)
-            if own_governance(keystore, name, governance, check) != governance.value:
+            if own_governance(keystore, name, governance, check, files) != governance.value:
                 raise VerificationError("its governance differs from the governance of the others")
             if current:
-                current.refuse_others(name)
+                current.refuse_others(name, files)
         except PqsecError as error:
             _refuse_unreadable(error)
             refused[name] = str(error)

@@ -57,14 +57,21 @@ def signed_by(path: Path, now: datetime) -> Check:
     return partial(TrustAnchors(identity_cas=(), permissions_ca=ca).verified, now=now)
 
 
-def governance_in(path: Path, check: Check | None = None) -> Loaded[Governance]:
-    """The governance document at `path`: XML, signed or not, or YAML."""
-    return _governance(path, read(path), check)
+def governance_in(
+    path: Path, check: Check | None = None, data: bytes | None = None
+) -> Loaded[Governance]:
+    """The governance document at `path`: XML, signed or not, or YAML; `data` is what it has."""
+    return _governance(path, read(path) if data is None else data, check)
 
 
-def permissions_in(path: Path, now: datetime, check: Check | None = None) -> Loaded[Permissions]:
-    """The permissions document at `path`; durations such as `1y` in YAML count from `now`."""
-    return _permissions(path, read(path), now, check)
+def permissions_in(
+    path: Path, now: datetime, check: Check | None = None, data: bytes | None = None
+) -> Loaded[Permissions]:
+    """The permissions document at `path`; durations such as `1y` in YAML count from `now`.
+
+    `data` is what it has, if it was read before.
+    """
+    return _permissions(path, read(path) if data is None else data, now, check)
 
 
 def document_at(path: Path, now: datetime) -> Document:

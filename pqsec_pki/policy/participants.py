@@ -1,5 +1,6 @@
 """The policy of a participant: its verified governance and permissions, from a keystore."""
 
+from collections.abc import Mapping
 from datetime import datetime
 from functools import partial
 from pathlib import Path
@@ -12,16 +13,16 @@ from pqsec_pki.credentials import (
     CERTIFICATE,
     ENCLAVES,
     GOVERNANCE,
-    KEYS,
     PERMISSIONS,
     Credentials,
     TrustAnchors,
+    only_certificate,
     subject_problems,
     verify_credentials,
 )
 from pqsec_pki.documents import DomainRule, Governance, Permissions, TopicRule
-from pqsec_pki.errors import MissingError, VerificationError, located
-from pqsec_pki.keystore import Keystore, enclave_files, load_certificate, regular_name
+from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.keystore import Keystore, public_files, regular_name
 from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
 from pqsec_pki.problems import Code
 
@@ -83,17 +84,19 @@ def valid_anchors(anchors: TrustAnchors, now: datetime) -> TrustAnchors:
     return anchors
 
 
-def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
+def identity_of(
+    keystore: Keystore,
+    name: str,
+    anchors: TrustAnchors,
+    now: datetime,
+    files: Mapping[str, bytes],
+) -> Certificate:
     """A participant's certificate. VerificationError if it is not valid, or is revoked.
 
-    KeystoreError for an unknown participant.
+    `files` are its `public_files`, here and in the functions below.
     """
     path = enclave_file(keystore, name, CERTIFICATE)
-    try:
-        certificate = load_certificate(path)
-    except MissingError:
-        keystore.refuse_unknown(name)  # which knows why
-        raise
+    certificate = only_certificate(files[CERTIFICATE], str(path))
     with located(path):
         problems = (
             *anchors.identity_problems(certificate, now),
@@ -114,25 +117,26 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
     keystore.refuse_unknown(name)
     anchors = valid_anchors(keystore.anchors, now)
     check = partial(anchors.verified, now=now)
-    certificate = identity_of(keystore, name, anchors, now)
+    files = public_files(keystore.root, regular_name(name))
+    certificate = identity_of(keystore, name, anchors, now, files)
     policy_input = PolicyInput(
         who=regular_name(name),
         subject=certificate.subject_name,
         not_after=min(certificate.not_after, anchors.not_after),
         keys=" and ".join(each.algorithm.name for each in certificate.own_keys),
-        governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
-        permissions=own_permissions(keystore, name, now, check),
+        governance=governance_in(
+            enclave_file(keystore, name, GOVERNANCE), check, files[GOVERNANCE]
+        ),
+        permissions=own_permissions(keystore, name, now, check, files),
     )
-    _refuse_enclave(keystore, policy_input.who, now)
+    _refuse_enclave(policy_input.who, files, now)
     return policy_input
 
 
-def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
+def _refuse_enclave(name: str, files: Mapping[str, bytes], now: datetime) -> None:
     """VerificationError if its own stack would refuse the enclave, apart from its grants."""
-    files = enclave_files(keystore.root, name)
-    public = {file: data for file, data in files.items() if file not in KEYS}
     try:
-        verify_credentials(Credentials.of(name, public), now=now)
+        verify_credentials(Credentials.of(name, files), now=now)
     except VerificationError as error:
         problems = [each for each in error.problems if each.code not in _GRANT_PROBLEMS]
         if problems:
@@ -140,10 +144,15 @@ def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
 
 
 def own_permissions(
-    keystore: Keystore, name: str, now: datetime, check: Check | None
+    keystore: Keystore,
+    name: str,
+    now: datetime,
+    check: Check | None,
+    files: Mapping[str, bytes] | None = None,
 ) -> Loaded[Permissions]:
     """The permissions document of a participant."""
-    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check)
+    data = files[PERMISSIONS] if files else None
+    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check, data)
 
 
 def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
@@ -152,9 +161,14 @@ def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governa
 
 
 def own_governance(
-    keystore: Keystore, name: str, shared: Loaded[Governance], check: Check | None
+    keystore: Keystore,
+    name: str,
+    shared: Loaded[Governance],
+    check: Check | None,
+    files: Mapping[str, bytes] | None = None,
 ) -> Governance:
     """The governance of a participant, normally a link to the shared one."""
     path = enclave_file(keystore, name, GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
-    return shared.value if is_shared else governance_in(path, check).value
+    data = files[GOVERNANCE] if files else None
+    return shared.value if is_shared else governance_in(path, check, data).value
