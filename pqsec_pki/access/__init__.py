@@ -11,6 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.access._checks import reason_for_several
     from pqsec_pki.access._patterns import opendds_reads_beyond
+    from pqsec_pki.access._topics import Topics
     from pqsec_pki.access.amending import (
         TopicRights,
         add_grant,
@@ -85,6 +86,7 @@ __all__ = [
     "TopicRight",
     "TopicRights",
     "TopicRow",
+    "Topics",
     "Viewpoint",
     "add_grant",
     "add_rights",

@@ -76,13 +76,13 @@ class InterpretedPolicy:
     def uses(self, join: Question, topics: Iterable[str]) -> Iterator[tuple[Action, str]]:
         """The topics that `decide` allows it to publish or subscribe to, each with the action.
 
-        `join` asks whether the participant may join, and `joins` allows it.
+        `join` asks whether the participant may join, and `joins` allows it; its partitions are
+        those of the endpoint.
         """
         use = self.interpretation.use
         checks = tuple(dict.fromkeys(check for side in Viewpoint for check in use[side]))
-        subject, domain, now = join.subject, join.domain, join.now
         for topic, action in product(topics, (Action.PUBLISH, Action.SUBSCRIBE)):
-            question = Question(subject=subject, domain=domain, action=action, now=now, topic=topic)
+            question = replace(join, action=action, topic=topic)
             asked = self._context(question)
             if asked and all(check(asked).allowed for check in checks):
                 yield action, topic

@@ -4,6 +4,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from operator import itemgetter
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
@@ -13,6 +14,7 @@ from pqsec_pki.access import (
     Interpretation,
     Placed,
     Question,
+    Topics,
     domains_ungoverned,
     is_known,
     topics_asked,
@@ -34,6 +36,11 @@ class WhoMay:
     fleet: Fleet
     domains: DomainSet | None
     """The domains that were asked about; None for all."""
+    partitions: tuple[str, ...]
+    """The partitions of the endpoint that was asked about. Empty for the default partition, with
+    rows for rights that are only in others."""
+    complete: bool
+    """Whether all partitions that the rules distinguish were searched."""
     interpretation: Interpretation
     rows: list[Placed]
     unknown: dict[str, str]
@@ -55,6 +62,8 @@ class WhoMay:
         """With one object for each row."""
         return {
             "domains": None if self.domains is None else str(self.domains),
+            "partitions": self.partitions,
+            "complete": self.complete,
             "as": self.interpretation.name,
             "participants": [member.name for member in self.fleet.members],
             "until": self.until,
@@ -87,6 +96,7 @@ class WhoMay:
             yield {
                 "topic": each.row.topic,
                 "domains": str(each.domains),
+                "partitions": [one.to_json() for one in each.row.partitions],
                 "pattern": each.row.is_pattern,
                 "asked": each.row.asked,
                 "publish": list(each.row.publishers),
@@ -101,6 +111,9 @@ class Flow:
     sender: str
     receivers: tuple[str, ...]
     domains: DomainSet
+    partitions: tuple[Topics, ...]
+    where: str
+    """The partitions in words; empty for the default partition."""
     topics: tuple[str, ...]
     """DDS topics, and patterns."""
 
@@ -110,6 +123,7 @@ class Flow:
             "from": self.sender,
             "to": list(self.receivers),
             "domains": str(self.domains),
+            "partitions": [each.to_json() for each in self.partitions],
             "topics": list(self.topics),
             "ros": list(map(ros.said, self.topics)),
         }
@@ -121,7 +135,7 @@ def flows(rows: Iterable[Placed]) -> list[Flow]:
     Without the discovery topic of ROS 2, which all nodes share, and without what participants
     send to themselves.
     """
-    found: dict[tuple[str, str, tuple[str, ...]], tuple[DomainSet, list[str]]] = {}
+    found: dict[tuple[str, str, str, tuple[str, ...]], tuple[Placed, list[str]]] = {}
     for each in rows:
         row = each.row
         if row.topic == ros.DISCOVERY or not row.subscribers:
@@ -131,12 +145,19 @@ def flows(rows: Iterable[Placed]) -> list[Flow]:
             others = row.subscribers
             if sender in both:
                 others = tuple(name for name in others if name != sender)
-            key = sender, str(each.domains), others
+            key = sender, str(each.domains), row.where, others
             if others:
-                found.setdefault(key, (each.domains, []))[1].append(row.topic)
+                found.setdefault(key, (each, []))[1].append(row.topic)
     return [
-        Flow(sender=sender, receivers=others, domains=domains, topics=tuple(topics))
-        for (sender, _, others), (domains, topics) in sorted(found.items())
+        Flow(
+            sender=sender,
+            receivers=others,
+            domains=first.domains,
+            partitions=first.row.partitions,
+            where=where,
+            topics=tuple(topics),
+        )
+        for (sender, _, where, others), (first, topics) in sorted(found.items(), key=itemgetter(0))
     ]
 
 
@@ -157,17 +178,20 @@ def _rows_of(rows: Iterable[Placed], names: Iterable[str]) -> list[Placed]:
     ]
 
 
-def who_may_use(
+def who_may_use(  # noqa: PLR0913 -- what is asked, by name
     fleet: Fleet,
     topics: tuple[str, ...] = (),
     *,
     domains: DomainSet | None = None,
+    partitions: tuple[str, ...] = (),
     now: datetime,
     interpretation: Interpretation,
 ) -> WhoMay:
     """Who may publish and subscribe to these DDS topics and patterns, on these domains.
 
-    Without topics, to all that the rules name; without domains, on all.
+    Without topics, to all that the rules name; without domains, on all. With partitions, as an
+    endpoint that is in all of them; without, in the default partition, and in each other one in
+    which somebody may what they may not there.
     """
     named = topics_named(fleet.members)
     asked = topics_asked(fleet.members, topics) if topics else dict[str, str | None]()
@@ -176,11 +200,12 @@ def who_may_use(
         fleet.members,
         tuple(asked) if topics else named,
         domains=domains,
+        partitions=partitions,
         now=now,
         interpretation=interpretation,
         asked=asked,
     )
-    rows = list(placed)
+    rows = list(placed.rows)
     # A pattern has its own row for topics that it matches and no rule names.
     beside = {topic for topic in topics if _PATTERN.search(topic)}.difference(named)
     used = [each for each in rows if each.is_used or each.row.topic not in beside]
@@ -189,6 +214,8 @@ def who_may_use(
     return WhoMay(
         fleet=fleet,
         domains=domains,
+        partitions=partitions,
+        complete=placed.complete,
         interpretation=interpretation,
         rows=used or rows,
         unknown={topic: meant(topic, named) for topic in unknown},
@@ -197,17 +224,20 @@ def who_may_use(
     )
 
 
-def who_may_by_each(
+def who_may_by_each(  # noqa: PLR0913 -- what is asked, by name
     fleet: Fleet,
     topics: tuple[str, ...],
     *,
     domains: DomainSet | None,
+    partitions: tuple[str, ...] = (),
     now: datetime,
     versions: Sequence[Interpretation],
 ) -> WhoMay:
     """The answer by the first version of a stack, with those by the others."""
     found, *others = (
-        who_may_use(fleet, topics, domains=domains, now=now, interpretation=each)
+        who_may_use(
+            fleet, topics, domains=domains, partitions=partitions, now=now, interpretation=each
+        )
         for each in versions
     )
     return replace(found, others=tuple(others))

@@ -622,6 +622,7 @@ def test_the_matrix_of_a_keystore(pqsec, keystore):
     assert row == {
         "topic": "rt/chatter",
         "domains": "0",
+        "partitions": [],
         "pattern": False,
         "asked": "rt/chatter",
         "publish": both,
@@ -859,6 +860,85 @@ def test_a_stack_may_be_asked_for_the_matrix(pqsec, put):
     for stack, names in {"spec": ["CN=/robot"], "cyclonedds": []}.items():
         found = pqsec(f"who-may p.xml g.xml --topic a --as {stack} --json").done().json
         assert found["topics"][0]["publish"] == names
+
+
+@pytest.fixture
+def partitioned(put):
+    """A robot that may publish the map in partition A alone, and a station that hears it in all."""
+    put("g", Governance.protected(ZERO))
+    put("robot", permissions(rule("map", partitions=("A",)), rule("pose"), subject="CN=/robot"))
+    hears = rule("map", partitions=("*",), action="subscribe")
+    put("station", permissions(hears, subject="CN=/station"))
+    put("alone", permissions(rule("door", partitions=("D",)), subject="CN=/alone"))
+
+
+def test_a_right_that_is_only_in_partitions_was_shown_as_nobodys(pqsec, partitioned):
+    said = pqsec("who-may g.xml alone.xml").done().out.splitlines()
+    assert [line.split("  ") for line in map(str.strip, said)][1][0] == "door"
+    assert said[0].split() == ["topic", "domain", "partition", "may", "publish", "may", "subscribe"]
+    assert said[1].split() == ["door", "0", "D", "CN=/alone", "-"]
+    assert len(said) == 2
+    [row] = pqsec("who-may g.xml alone.xml --json").done().json["topics"]
+    d = {"name": "D", "extent": "one", "such_as": None, "but": []}
+    assert (row["publish"], row["partitions"]) == (["CN=/alone"], [d])
+
+
+def test_every_form_of_who_may_has_the_partitions(pqsec, partitioned):
+    ask = "who-may g.xml robot.xml station.xml"
+    table = [line.split() for line in pqsec(ask).done().out.splitlines()]
+    assert table[1:] == [
+        ["map", "0", "(default)", "-", "CN=/station"],
+        ["map", "0", "A", "CN=/robot", "CN=/station"],
+        ["pose", "0", "(default)", "CN=/robot", "-"],
+    ]
+    assert pqsec(f"{ask} --format csv").done().out.splitlines() == [
+        "topic,domains,pattern,asked,publish,subscribe,partitions",
+        "map,0,false,map,,CN=/station,",
+        "map,0,false,map,CN=/robot,CN=/station,A",
+        "pose,0,false,pose,CN=/robot,,",
+    ]
+    assert "| map | 0 | A | CN=/robot | CN=/station |" in pqsec(f"{ask} --format md").done().out
+    _, edges = graph(pqsec(f"{ask} --format dot").done().out)
+    assert ("CN=/robot", "map (domain 0, partition A)") in edges
+    flow = pqsec(f"{ask} --matrix").done().out.splitlines()
+    assert flow[1].split() == ["CN=/robot", "CN=/station", "0", "A", "map"]
+    [sent] = pqsec(f"{ask} --matrix --json").done().json["flows"]
+    assert [each["name"] for each in sent["partitions"]] == ["A"]
+    rows = pqsec(f"{ask} --matrix --format csv").done().out.splitlines()
+    assert rows[1] == "CN=/robot,CN=/station,0,map,map,A"
+    only = pqsec(f"{ask} --participant CN=/robot --json").done().json["topics"]
+    assert [len(each["partitions"]) for each in only] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("options", "publishers", "where"),
+    [
+        ("--partition A", ["CN=/robot"], "A"),
+        ("--partition B", [], "B"),
+        ("--partition A --partition B", [], "A and B"),
+        ("--partition ''", [], "(default)"),
+        ("--partition 'A*'", [], "A*"),
+        ("--partition A --domain 0 --topic map", ["CN=/robot"], "A"),
+    ],
+)
+def test_who_may_is_asked_about_an_endpoint_in_partitions(
+    pqsec, partitioned, options, publishers, where
+):
+    ask = f"who-may g.xml robot.xml station.xml {options}"
+    found = pqsec(f"{ask} --json").done().json
+    first = found["topics"][0]
+    assert (first["topic"], first["publish"]) == ("map", publishers)
+    assert found["partitions"] == [each["name"] for each in first["partitions"]]
+    assert where in pqsec(ask).done().out.splitlines()[1]
+    for option in options.split()[1:2]:
+        explained = pqsec(
+            f"explain --governance g.xml --permissions robot.xml --publish map --partition {option}"
+        )
+        assert explained.code == (option != "A")
+
+
+def test_a_partition_longer_than_any_of_dds_is_refused(pqsec, partitioned):
+    pqsec(f"who-may g.xml robot.xml --partition {'x' * 300}").refused(2, "256 characters")
 
 
 def graph(text):
@@ -1216,11 +1296,14 @@ def test_the_matrix_shows_who_can_send_what_to_whom(pqsec, fleet_of_nodes):
     assert [line.split() for line in lines[1:]] == [["/bot/cook", "/desk", "0", "/odom"]]
     pqsec(f"{fleet_of_nodes} --matrix --format dot").refused(2, "--matrix")
     rows = pqsec(f"{fleet_of_nodes} --matrix --topic rt/odom --format csv").done().out.splitlines()
-    assert rows == ["from,to,domains,topics,ros", "/bot/cook,/desk,0,rt/odom,/odom"]
+    assert rows == [
+        "from,to,domains,topics,ros,partitions",
+        "/bot/cook,/desk,0,rt/odom,/odom,",
+    ]
     rows = pqsec(f"{fleet_of_nodes} --topic rt/odom --format csv").done().out.splitlines()
     assert rows == [
-        "topic,domains,pattern,asked,publish,subscribe",
-        "rt/odom,0,false,rt/odom,/bot/cook,/desk",
+        "topic,domains,pattern,asked,publish,subscribe,partitions",
+        "rt/odom,0,false,rt/odom,/bot/cook,/desk,",
     ]
     pqsec(f"{fleet_of_nodes} --json --format csv").refused(2, "exclude each other")
 

@@ -20,7 +20,7 @@ UP_TO_NINE = Governance.protected(DomainSet(parts=(DomainRange(first=0, last=9),
 def found(members, topics, governance=UP_TO_NINE):
     """Of each row: topic, domains, publishers."""
     asked = topics_asked(members, topics)
-    placed = who_may_anywhere(governance, members, asked, now=NOW, asked=asked)
+    placed = who_may_anywhere(governance, members, asked, now=NOW, asked=asked).rows
     return [(each.row.topic, str(each.domains), each.row.publishers) for each in placed]
 
 
