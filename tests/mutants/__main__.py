@@ -37,16 +37,27 @@ TESTS = {
         "plugin_trust",
         "enrolment",
         "install",
+        "clocks",
+        "bundle_proofs",
     ),
     "smime": ("smime", "smime_readers"),
     "certificates": (
         "certificates",
+        "chains",
+        "short_der",
         "requests",
         "revocation_lists",
         "der_cutting",
         "plugin_lists",
     ),
-    "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
+    "handshake": (
+        "handshake",
+        "handshake_versions",
+        "handshake_wire",
+        "protection",
+        "tamper",
+        "attack_checks",
+    ),
     "enrolment": (
         "archive",
         "hostile_archives",
@@ -56,6 +67,12 @@ TESTS = {
         "sharing",
         "domain_requests",
         "issue_with_bundles",
+        "receipt_import",
+        "receipt_order",
+        "receipts",
+        "clocks",
+        "rolled_back",
+        "bundle_proofs",
     ),
     "plugin": ("plugin_*", "cli/test_plugin.py"),
     "access": (
@@ -68,13 +85,20 @@ TESTS = {
         "diff",
         "sharing",
         "plugin_rights",
+        "python_calls",
+        "permitting",
     ),
-    "approvals": ("approvals", "registration", "domain_orders"),
-    "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
+    "approvals": ("approvals", "registration", "domain_orders", "rolled_back"),
+    "policy": ("one_verdict", "current_files", "cli/test_questions.py", "cli/test_validate.py"),
     "server": (
         "serve_admission",
         "serve_decisions",
         "serve_calls",
+        "serve_clocks",
+        "serve_status",
+        "serve_tricks",
+        "readmission",
+        "registration",
         "serve_expired",
         "serve_waiting",
         "serve_work",
@@ -161,12 +185,14 @@ class Run:
 def test_files(root: Path, rooms: tuple[str, ...]) -> list[str]:
     """For those rooms."""
     patterns = dict.fromkeys(pattern for room in rooms for pattern in TESTS[room])
-    found = [path for pattern in patterns for path in sorted((root / "tests").glob(_path(pattern)))]
+    found = [path for pattern in patterns for path in paths(root, pattern)]
     return [str(path.relative_to(root)) for path in dict.fromkeys(found)]
 
 
-def _path(pattern: str) -> str:
-    return pattern if "/" in pattern else f"unit/test_{pattern}.py"
+def paths(root: Path, pattern: str) -> list[Path]:
+    """The files of a pattern in TESTS."""
+    name = pattern if "/" in pattern else f"unit/test_{pattern}.py"
+    return sorted((root / "tests").glob(name))
 
 
 def accepted(root: Path) -> dict[str, str]:
