@@ -249,8 +249,9 @@ def options() -> argparse.ArgumentParser:
 
 
 def measured(copy: Copy, files: list[str], kept: Path | None) -> Measured:
-    """By running them, unless it is kept."""
+    """By running them, unless it is kept; the copy has their bytecode then."""
     if kept and kept.exists():
+        copy.run(files, None, MEASURING, "--collect-only")
         read = json.loads(kept.read_text())
         lines = {
             path: {int(line): tests for line, tests in found.items()}
@@ -281,12 +282,12 @@ def main() -> int:
         return 0
     warm()
     with tempfile.TemporaryDirectory(prefix="pqsec-mutants-") as folder:
-        copies = [
-            Copy.made(chosen.root, Path(folder).resolve() / str(n)) for n in range(chosen.jobs)
-        ]
+        folders = [Path(folder).resolve() / str(number) for number in range(chosen.jobs)]
+        first = Copy.made(chosen.root, folders[0])
         try:
-            found = measured(copies[0], test_files(chosen.root, rooms), chosen.measured)
-            run = Run(copies, found)
+            found = measured(first, test_files(chosen.root, rooms), chosen.measured)
+            others = [Copy.made(chosen.root, each, compiled=first) for each in folders[1:]]
+            run = Run([first, *others], found)
             run.all(wanted, until)
         except RuntimeError as error:
             print(error, file=sys.stderr)
