@@ -73,6 +73,7 @@ TESTS = {
         "clocks",
         "rolled_back",
         "bundle_proofs",
+        "limits",
     ),
     "plugin": ("plugin_*", "cli/test_plugin.py"),
     "access": (

@@ -21,6 +21,7 @@ from tests.unit.chains import (
     TRUE,
     Case,
     ca,
+    constraints,
     crl,
     entry,
     extension,
@@ -68,3 +69,14 @@ STRICTER = {
 @pytest.mark.parametrize("words", STRICTER)
 def test_a_list_that_readers_could_take_for_another_is_refused(words):
     assert not takes(Case(words, GOOD, ca(), leaf(), STRICTER[words]))
+
+
+@pytest.mark.parametrize(
+    ("base", "accepted"), [(x509.RFC822Name("lab.example"), False), (x509.DNSName("lab"), True)]
+)
+def test_a_mailbox_in_utf8_is_within_no_constraints_of_mail(base, accepted):
+    """OpenSSL compares it."""
+    boxed = x509.OtherName(Oid("1.3.6.1.5.5.7.8.9"), b"\x0c\x0da@lab.example")
+    issuer = ca(extension(constraints(permitted=[base])))
+    made = leaf(extension(x509.SubjectAlternativeName([boxed])))
+    assert takes(Case("a mailbox", accepted, issuer, made)) == accepted

@@ -186,6 +186,20 @@ def test_a_smaller_head_is_refused(fork, tmp_path):
     assert Code.OLDER in refused.value.codes
 
 
+def test_a_smaller_head_than_that_of_an_older_pqsecs_set_is_refused(fork, tmp_path):
+    (tmp_path / "robot/trust.json").unlink()  # which it did not write
+    sign(fork, NOW)
+    with pytest.raises(VerificationError, match="of an older ledger") as refused:
+        put(tmp_path / "robot", bundle(fork), trust_first=False)
+    assert Code.OLDER in refused.value.codes
+
+
+def test_a_set_of_an_older_pqsec_that_has_no_proof_has_no_head(keystore, tmp_path):
+    put(tmp_path / "robot", replace(bundle(keystore), proof=None))
+    (tmp_path / "robot/trust.json").unlink()
+    assert put(tmp_path / "robot", bundle(keystore), trust_first=False).names == (ROBOT,)
+
+
 def test_a_fork_of_the_same_size_is_refused(fork, keystore, tmp_path):
     while len(fork.ledger()) < len(keystore.ledger()):
         sign(fork, NOW + DAY)
