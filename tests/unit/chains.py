@@ -143,6 +143,10 @@ def _key_identifiers():
         yield Case(f"list identifies {words}", accepted, with_key, leaf(), crl(extension(value)))
         if "issuer in" not in words:
             yield Case(f"CA identifies {words}", accepted, ca(own, extension(value)), leaf())
+    for words, accepted, issuer in (("its issuer", GOOD, CA_NAME), ("another", BAD, LEAF_NAME)):
+        several = [x509.DNSName("ca.example"), x509_name(issuer)]
+        value = x509.AuthorityKeyIdentifier(None, several, 7)
+        yield Case(f"leaf names {words} behind a host", accepted, with_key, leaf(extension(value)))
     critical = crl(extension(_identified(b"ca" * 10), TRUE))
     yield Case("a critical identifier of a list", GOOD, with_key, leaf(), critical)
 
@@ -332,12 +336,14 @@ def _hosts(limits):
 
 def _mails(limits):
     one = constraints(permitted=[x509.RFC822Name("a@lab.example")])
+    dotted = constraints(permitted=[x509.RFC822Name(".a@lab.example")])
     below = constraints(permitted=[x509.RFC822Name(".example")])
     mail = x509.RFC822Name
     yield "mail, its user", GOOD, one, LEAF_NAME, (mail("a@LAB.example"),)
     yield "mail, another user", BAD, one, LEAF_NAME, (mail("b@lab.example"),)
     yield "mail, its user in capitals", BAD, one, LEAF_NAME, (mail("A@lab.example"),)
     yield "mail, its user elsewhere", BAD, one, LEAF_NAME, (mail("a@x.example"),)
+    yield "mail, a user with a dot", GOOD, dotted, LEAF_NAME, (mail(".a@lab.example"),)
     yield "mail, a host below", GOOD, below, LEAF_NAME, (mail("a@lab.example"),)
     yield "mail, no host below", BAD, below, LEAF_NAME, (mail("a@lab.other"),)
     yield "mail, SAN", GOOD, limits, LEAF_NAME, (mail("a@lab.example"),)
