@@ -166,6 +166,16 @@ def test_what_has_no_number_is_older_than_what_has_one(keystore, tmp_path):
         put(robot, with_files(bundle(keystore), ROBOT, governance_p7s=plain))
 
 
+def test_older_credentials_of_other_cas_are_not_proposed_with_older(keystore, tmp_path):
+    older, other = bundle(keystore), bundle(made(tmp_path / "other", "classical"))
+    renew(keystore, cas(keystore), [ROBOT], KEEP, now=NOW)
+    for each in (bundle(keystore), other):
+        put(tmp_path / "robot", each, pins=each.roles)
+    with pytest.raises(VerificationError, match="is older") as refused:
+        put(tmp_path / "robot", older, pins=older.roles)
+    assert "credentials of other CAs" in refused.value.hint
+
+
 # The head of the ledger
 
 
