@@ -190,6 +190,9 @@ def _names():
 
 
 def _forms():
+    for text in ("alice", "*.lab"):
+        first = leaf(subject=common(text, PRINTABLE), version=b"")
+        yield Case(f"a printable {text} of version 1", GOOD, ca(), first)
     false = extension(b"\x30\x03" + FALSE, oid="2.5.29.19")
     yield Case("cA FALSE", GOOD, ca(), leaf(false))
     critical = extension(b"\x30\x03" + FALSE, TRUE, oid="2.5.29.19")

@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 import pytest
 from cryptography import x509
 
-from pqsec_pki._asn1 import Oid
+from pqsec_pki._asn1 import Oid, encode, time_of
+from pqsec_pki._der import sequence_of
 from pqsec_pki.certificates import (
     Certificate,
     RevocationList,
@@ -16,17 +17,22 @@ from pqsec_pki.errors import PqsecError
 from tests.unit.chains import (
     CASES,
     CN,
+    ECDSA,
     GOOD,
     LEAF_NAME,
+    PRINTABLE,
+    START,
     TRUE,
     Case,
     ca,
+    common,
     constraints,
     crl,
     entry,
     extension,
     issuing,
     leaf,
+    signed,
     x509_name,
 )
 
@@ -47,6 +53,12 @@ def takes(case):
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_chain_is_judged_as_every_stack_judges_it(case):
     assert takes(case) == case.accepted
+
+
+def test_a_list_of_version_1_is_read_whatever_strings_its_issuer_has():
+    parts = [ECDSA, common("*.lab", PRINTABLE), encode(time_of(START))]
+    found = RevocationList.from_der(signed(sequence_of(parts), "ca"))
+    assert (found.revoked, found.next_update) == ((), None)
 
 
 # What pqsec alone refuses (docs/explanation/adr/0043)
