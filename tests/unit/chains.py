@@ -7,6 +7,7 @@ tests/interop/test_chains.py the OpenSSL that the stacks use.
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
+from ipaddress import ip_address, ip_network
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
@@ -142,6 +143,10 @@ def _key_identifiers():
         yield Case(f"list identifies {words}", accepted, with_key, leaf(), crl(extension(value)))
         if "issuer in" not in words:
             yield Case(f"CA identifies {words}", accepted, ca(own, extension(value)), leaf())
+    for words, accepted, issuer in (("its issuer", GOOD, CA_NAME), ("another", BAD, LEAF_NAME)):
+        several = [x509.DNSName("ca.example"), x509_name(issuer)]
+        value = x509.AuthorityKeyIdentifier(None, several, 7)
+        yield Case(f"leaf names {words} behind a host", accepted, with_key, leaf(extension(value)))
     critical = crl(extension(_identified(b"ca" * 10), TRUE))
     yield Case("a critical identifier of a list", GOOD, with_key, leaf(), critical)
 
@@ -185,6 +190,9 @@ def _names():
 
 
 def _forms():
+    for text in ("alice", "*.lab"):
+        first = leaf(subject=common(text, PRINTABLE), version=b"")
+        yield Case(f"a printable {text} of version 1", GOOD, ca(), first)
     false = extension(b"\x30\x03" + FALSE, oid="2.5.29.19")
     yield Case("cA FALSE", GOOD, ca(), leaf(false))
     critical = extension(b"\x30\x03" + FALSE, TRUE, oid="2.5.29.19")
@@ -297,6 +305,69 @@ def _scopes():
     yield Case("indirect list with an entry of another CA", BAD, ca(), leaf(), made)
 
 
+def _several(lab, acme, alice, dns):
+    """Of one form and of several."""
+    both, number = [x509_name(acme), x509_name(lab)], x509.RegisteredID(Oid(OTHER))
+    host = x509.DNSName("a.lab.example")
+    yield "one of two directories", GOOD, constraints(permitted=both), alice, ()
+    yield "one of two excluded directories", BAD, constraints(excluded=both), alice, ()
+    yield "a form without constraints", GOOD, constraints(permitted=dns), LEAF_NAME, (number,)
+    yield "a form that nobody compares", BAD, constraints(permitted=[number]), LEAF_NAME, (number,)
+    yield "it excluded", BAD, constraints(excluded=[number]), LEAF_NAME, (number,)
+    yield "no name of its form", GOOD, constraints(permitted=[number]), LEAF_NAME, (host,)
+    within = constraints(permitted=dns, excluded=[host])
+    yield "excluded within a permitted", BAD, within, LEAF_NAME, (host,)
+    yield "beside an excluded", GOOD, within, LEAF_NAME, (x509.DNSName("b.lab.example"),)
+
+
+def _hosts(limits):
+    inside, outside = x509.DNSName("a.lab.example"), "a.other.example"
+    yield "DNS, CN beside a SAN", GOOD, limits, common(outside), (inside,)
+    yield "DNS, two SANs", BAD, limits, LEAF_NAME, (inside, x509.DNSName(outside))
+    yield "DNS, NUL in CN", BAD, limits, common(f"{outside}\0.lab.example"), ()
+    yield "DNS, NUL after CN", GOOD, limits, common("a.lab.example\0"), ()
+    yield "DNS, CN of one label", GOOD, limits, common("other"), ()
+    for text in ("a..example", "a-.example", "a.-example", "a example.com", ".other.example"):
+        yield f"DNS, CN {text}", GOOD, limits, common(text), ()
+    dotted = constraints(permitted=[x509.DNSName(".lab.example")])
+    yield "DNS with a dot, SAN below", GOOD, dotted, LEAF_NAME, (x509.DNSName("A.Lab.example"),)
+    yield "DNS with a dot, SAN", BAD, dotted, LEAF_NAME, (x509.DNSName("lab.example"),)
+    yield "DNS, the domain", GOOD, limits, LEAF_NAME, (x509.DNSName("LAB.example"),)
+    every = constraints(permitted=[x509.DNSName("")])
+    yield "DNS, all", GOOD, every, LEAF_NAME, (inside,)
+
+
+def _mails(limits):
+    one = constraints(permitted=[x509.RFC822Name("a@lab.example")])
+    dotted = constraints(permitted=[x509.RFC822Name(".a@lab.example")])
+    below = constraints(permitted=[x509.RFC822Name(".example")])
+    mail = x509.RFC822Name
+    yield "mail, its user", GOOD, one, LEAF_NAME, (mail("a@LAB.example"),)
+    yield "mail, another user", BAD, one, LEAF_NAME, (mail("b@lab.example"),)
+    yield "mail, its user in capitals", BAD, one, LEAF_NAME, (mail("A@lab.example"),)
+    yield "mail, its user elsewhere", BAD, one, LEAF_NAME, (mail("a@x.example"),)
+    yield "mail, a user with a dot", GOOD, dotted, LEAF_NAME, (mail(".a@lab.example"),)
+    yield "mail, a host below", GOOD, below, LEAF_NAME, (mail("a@lab.example"),)
+    yield "mail, no host below", BAD, below, LEAF_NAME, (mail("a@lab.other"),)
+    yield "mail, SAN", GOOD, limits, LEAF_NAME, (mail("a@lab.example"),)
+    yield "mail without a host", BAD, limits, name((CN, "x", UTF8), (MAIL, "lab", IA5)), ()
+    other = x509.OtherName(Oid(OTHER), b"\x0c\x01x")
+    yield "mail, another name", GOOD, limits, LEAF_NAME, (other,)
+
+
+def _addresses():
+    uri, ip = x509.UniformResourceIdentifier, x509.IPAddress
+    lab, below = constraints(permitted=[uri("lab")]), constraints(permitted=[uri(".lab")])
+    yield "URI, its host", GOOD, lab, LEAF_NAME, (uri("http://LAB/x"),)
+    yield "URI, its host and a port", GOOD, lab, LEAF_NAME, (uri("http://lab:80/x"),)
+    yield "URI, no host below", BAD, below, LEAF_NAME, (uri("http://lab/x"),)
+    yield "URI, the dot alone", BAD, below, LEAF_NAME, (uri("http://.lab/x"),)
+    yield "URI, a path that begins with its host", BAD, lab, LEAF_NAME, (uri("urn:lab/x"),)
+    net = constraints(permitted=[ip(ip_network("10.0.0.0/8"))])
+    yield "IP", GOOD, net, LEAF_NAME, (ip(ip_address("10.1.2.3")),)
+    yield "IP of another", BAD, net, LEAF_NAME, (ip(ip_address("11.1.2.3")),)
+
+
 def _constraints():
     lab, acme = name((ORGANIZATION, "Lab", UTF8)), name((ORGANIZATION, "acme", PRINTABLE))
     alice = name((ORGANIZATION, "LAB", PRINTABLE), (CN, "/lab/alice", UTF8))
@@ -327,6 +398,10 @@ def _constraints():
         ("URI", GOOD, constraints(permitted=[uri(".lab")]), LEAF_NAME, (uri("http://a.lab/x"),)),
         ("URI of another", BAD, constraints(permitted=[uri("lab")]), LEAF_NAME, (uri("http://a.lab/x"),)),
         ("URI without a host", BAD, constraints(excluded=[uri("lab")]), LEAF_NAME, (uri("urn:x"),)),
+        *_several(lab, acme, alice, dns),
+        *_hosts(in_dns),
+        *_mails(in_mails),
+        *_addresses(),
     )  # fmt: skip
     for words, accepted, limits, subject, others in cases:
         san = [extension(x509.SubjectAlternativeName(others))] if others else []
@@ -343,6 +418,13 @@ def _constraints():
     limits = sequence_of([tlv(0xA0, tree)])
     bounded = ca(extension(limits, TRUE, "2.5.29.30"))
     yield Case("constraints, minimum", BAD, bounded, leaf(subject=host))
+    plain = sequence_of([tlv(0x82, b"lab.example")])
+    limits = sequence_of([tlv(0xA1, plain), tlv(0xA0, plain + tree)])
+    bounded = ca(extension(limits, TRUE, "2.5.29.30"))
+    yield Case("constraints, minimum of the last", BAD, bounded, leaf())
+    in_directory = ca(extension(constraints(permitted=directory)))
+    hostless = leaf(extension(x509.SubjectAlternativeName(dns)), subject=name())
+    yield Case("constraints, no subject", GOOD, in_directory, hostless)
 
 
 CASES = [*_key_identifiers(), *_names(), *_forms(), *_scopes(), *_constraints()]

@@ -31,14 +31,18 @@ from pqsec_pki.certificates import (
     verify_authority,
     verify_chain,
 )
+from pqsec_pki.certificates._names import name_line, name_text
 from pqsec_pki.certificates.authority import LAST_YEAR, cut, key_identifier
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
+from tests.unit import chains
+from tests.unit.chains import T61, UTF8
 from tests.unit.version_1 import in_version_1
 
 NOW = datetime(2026, 11, 21, 12, 30, 15, tzinfo=UTC)
 DAY, YEAR = timedelta(days=1), timedelta(days=365)
 ROWS = [row for row in SIGNATURES if "3072" not in row.name and "4096" not in row.name]
+BITS = 0x03
 ALTERNATIVES = ("2.5.29.72", "2.5.29.73", "2.5.29.74")
 
 each_row = pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
@@ -171,6 +175,25 @@ def test_alternative_extensions_are_never_critical(double_ca):
         found = {each.oid.dotted_string: each for each in certificate.extensions}
         assert set(ALTERNATIVES) <= set(found)
         assert not any(found[oid].critical for oid in ALTERNATIVES)
+
+
+@pytest.mark.parametrize(
+    ("oid", "value", "tag", "text"),
+    [
+        ("1.2.3.4", "ab", UTF8, "1.2.3.4=#0C026162"),
+        ("1.2.3.4", b"\xe9", T61, "1.2.3.4=#1401E9"),  # which cryptography writes in UTF-8
+        ("2.5.4.45", b"\0Z", BITS, "x500UniqueIdentifier=#0302005A"),
+        ("2.5.4.45", "ab", UTF8, "x500UniqueIdentifier=ab"),
+    ],
+)
+def test_a_value_that_openssl_does_not_know_is_told_in_octets(oid, value, tag, text):
+    made = Certificate.from_der(chains.leaf(subject=chains.name((oid, value, tag))))
+    assert made.subject_name == text
+
+
+def test_a_name_that_was_not_read_is_told_like_one_that_was():
+    made = x509.Name([x509.NameAttribute(Oid("1.2.3.4"), "ab")])
+    assert (name_text(made), name_line(made)) == ("1.2.3.4=#0C026162", "/1.2.3.4=ab")
 
 
 def test_a_certificate_says_who_it_is_for(ca):

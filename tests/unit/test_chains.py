@@ -5,7 +5,8 @@ from datetime import UTC, datetime
 import pytest
 from cryptography import x509
 
-from pqsec_pki._asn1 import Oid
+from pqsec_pki._asn1 import Oid, encode, time_of
+from pqsec_pki._der import sequence_of
 from pqsec_pki.certificates import (
     Certificate,
     RevocationList,
@@ -16,16 +17,22 @@ from pqsec_pki.errors import PqsecError
 from tests.unit.chains import (
     CASES,
     CN,
+    ECDSA,
     GOOD,
     LEAF_NAME,
+    PRINTABLE,
+    START,
     TRUE,
     Case,
     ca,
+    common,
+    constraints,
     crl,
     entry,
     extension,
     issuing,
     leaf,
+    signed,
     x509_name,
 )
 
@@ -48,6 +55,12 @@ def test_a_chain_is_judged_as_every_stack_judges_it(case):
     assert takes(case) == case.accepted
 
 
+def test_a_list_of_version_1_is_read_whatever_strings_its_issuer_has():
+    parts = [ECDSA, common("*.lab", PRINTABLE), encode(time_of(START))]
+    found = RevocationList.from_der(signed(sequence_of(parts), "ca"))
+    assert (found.revoked, found.next_update) == ((), None)
+
+
 # What pqsec alone refuses (docs/explanation/adr/0043)
 
 FOREIGN = x509.CertificateIssuer([x509_name(LEAF_NAME)])
@@ -68,3 +81,14 @@ STRICTER = {
 @pytest.mark.parametrize("words", STRICTER)
 def test_a_list_that_readers_could_take_for_another_is_refused(words):
     assert not takes(Case(words, GOOD, ca(), leaf(), STRICTER[words]))
+
+
+@pytest.mark.parametrize(
+    ("base", "accepted"), [(x509.RFC822Name("lab.example"), False), (x509.DNSName("lab"), True)]
+)
+def test_a_mailbox_in_utf8_is_within_no_constraints_of_mail(base, accepted):
+    """OpenSSL compares it."""
+    boxed = x509.OtherName(Oid("1.3.6.1.5.5.7.8.9"), b"\x0c\x0da@lab.example")
+    issuer = ca(extension(constraints(permitted=[base])))
+    made = leaf(extension(x509.SubjectAlternativeName([boxed])))
+    assert takes(Case("a mailbox", accepted, issuer, made)) == accepted

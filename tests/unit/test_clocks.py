@@ -166,6 +166,16 @@ def test_what_has_no_number_is_older_than_what_has_one(keystore, tmp_path):
         put(robot, with_files(bundle(keystore), ROBOT, governance_p7s=plain))
 
 
+def test_older_credentials_of_other_cas_are_not_proposed_with_older(keystore, tmp_path):
+    older, other = bundle(keystore), bundle(made(tmp_path / "other", "classical"))
+    renew(keystore, cas(keystore), [ROBOT], KEEP, now=NOW)
+    for each in (bundle(keystore), other):
+        put(tmp_path / "robot", each, pins=each.roles)
+    with pytest.raises(VerificationError, match="is older") as refused:
+        put(tmp_path / "robot", older, pins=older.roles)
+    assert "credentials of other CAs" in refused.value.hint
+
+
 # The head of the ledger
 
 
@@ -184,6 +194,20 @@ def test_a_smaller_head_is_refused(fork, tmp_path):
     with pytest.raises(VerificationError, match="of an older ledger") as refused:
         put(tmp_path / "robot", bundle(fork))
     assert Code.OLDER in refused.value.codes
+
+
+def test_a_smaller_head_than_that_of_an_older_pqsecs_set_is_refused(fork, tmp_path):
+    (tmp_path / "robot/trust.json").unlink()  # which it did not write
+    sign(fork, NOW)
+    with pytest.raises(VerificationError, match="of an older ledger") as refused:
+        put(tmp_path / "robot", bundle(fork), trust_first=False)
+    assert Code.OLDER in refused.value.codes
+
+
+def test_a_set_of_an_older_pqsec_that_has_no_proof_has_no_head(keystore, tmp_path):
+    put(tmp_path / "robot", replace(bundle(keystore), proof=None))
+    (tmp_path / "robot/trust.json").unlink()
+    assert put(tmp_path / "robot", bundle(keystore), trust_first=False).names == (ROBOT,)
 
 
 def test_a_fork_of_the_same_size_is_refused(fork, keystore, tmp_path):

@@ -102,6 +102,12 @@ def ask(*rules, by=None, interpretation=SPEC, governed=None, default=DefaultActi
 # The standard.
 
 
+def test_a_pattern_that_is_the_name_of_a_topic_does_not_allow_that_topic():
+    assert ask(allow(*criteria("[ab]")), topic="a").allowed
+    assert not ask(allow(*criteria("[ab]")), topic="[ab]").allowed
+    assert ask(allow(*criteria("\\[ab]")), topic="[ab]").allowed
+
+
 def test_a_rule_that_has_the_topic_allows():
     rule = allow(*criteria("b", "a*"))
     decision = ask(rule, topic="ab")

@@ -207,8 +207,9 @@ def test_what_an_older_pqsec_installed_tells_all_that_a_trust_state_says(place):
 def test_what_an_older_pqsec_installed_is_believed_as_it_shows(robot, bundles):
     put(robot, "2")
     (robot / "trust.json").unlink()
-    with pytest.raises(VerificationError, match="older than one installed before"):
+    with pytest.raises(VerificationError, match="older than one installed before") as caught:
         put(robot, "1", trust_first=False)
+    assert caught.value.hint == "--older installs it anyway"
     put(robot, "2", trust_first=False)
     assert (robot / "trust.json").exists()
 
