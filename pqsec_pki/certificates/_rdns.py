@@ -15,7 +15,7 @@ from pqsec_pki._asn1 import NameHolder, Oid, decode, encode, plain_words
 from pqsec_pki._der import content, sequence_of
 from pqsec_pki.errors import MalformedError, library_call
 
-_NUMERIC, _UTF8, _BMP, _BITS = 0x12, 0x0C, 0x1E, 0x03
+_NUMERIC, _UTF8, _BMP, _BITS, _SET = 0x12, 0x0C, 0x1E, 0x03, 0x31
 _CODECS = {
     _UTF8: "utf-8",
     _NUMERIC: "latin-1",
@@ -52,6 +52,21 @@ def read_name(der: bytes) -> x509.Name:
                 for rdn in _rdns(der)
             ]
         )
+
+
+def plain_name(der: bytes) -> bytes:
+    """The same name in DER, with UTF8Strings, for cryptography; MalformedError as read_name."""
+    return sequence_of(
+        sequence_of(sorted(_plain_attribute(oid, value) for oid, value in rdn), _SET)
+        for rdn in _rdns(der)
+    )
+
+
+def _plain_attribute(oid: Oid, der: bytes) -> bytes:
+    value = _value(der)
+    if isinstance(value, str) and der[0] != _NUMERIC:  # which no other string is equal to
+        der = sequence_of([value.encode()], _UTF8)
+    return sequence_of([encode(oid), der])
 
 
 def same_name(one: bytes, other: bytes) -> bool:
