@@ -74,10 +74,10 @@ def same_name(one: bytes, other: bytes) -> bool:
 
     Case of ASCII letters, the type of a string and the number of spaces do not matter.
     """
-    return one == other or canonical(one) == canonical(other)
+    return one == other or canonical_name(one) == canonical_name(other)
 
 
-def canonical(der: bytes) -> Canonical:
+def canonical_name(der: bytes) -> Canonical:
     """The DER Name in a form that is equal for the same names; MalformedError as read_name."""
     return tuple(frozenset(_canonical(oid, value) for oid, value in rdn) for rdn in _rdns(der))
 

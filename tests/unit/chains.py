@@ -350,6 +350,11 @@ def _constraints():
     yield Case("constraints, minimum", BAD, bounded, leaf(subject=host))
 
 
+IDP = "2.5.29.28"
+DNS = x509.SubjectAlternativeName([x509.DNSName("x.example")])
+OTHER_NAME = encode(Oid(OTHER)) + tlv(0xA0, tlv(0xA4, b"\x04\x01a"))
+
+
 def _encoded_defaults():
     other, reason = extension(b"", FALSE, OTHER), x509.CRLReason(x509.ReasonFlags.key_compromise)
     entries = {
@@ -373,8 +378,8 @@ def _encoded_defaults():
             given = sequence_of([scope if each[:1] == scope[:1] else each for each in flags])
             made = crl(extension(given, critical, "2.5.29.28"))
             older = not scope
-            words = f"list for {words}, others FALSE {critical.hex()}"
-            yield Case(words, accepted, ca(), leaf(), made, older=older)
+            who = f"list for {words}, others FALSE {critical.hex()}"
+            yield Case(who, accepted, ca(), leaf(), made, older=older)
     host = common("robot.lab.example")
     for number, accepted in ((0, GOOD), (1, BAD)):
         for kind in (0xA0, 0xA1):
@@ -394,7 +399,7 @@ def _encoded_defaults():
 
 
 def _general_names():
-    for text, tag in (("a_b*@c", PRINTABLE), ("é".encode("latin-1"), T61), ("a".encode(), VISIBLE)):
+    for text, tag in (("a_b*@c", PRINTABLE), ("é".encode("latin-1"), T61), (b"a", VISIBLE)):
         accepted = tag != VISIBLE
         own, other = common(text, tag), common("other_", PRINTABLE)
         for words, oid, value in (
@@ -411,10 +416,10 @@ def _general_names():
             identifier = extension(value, oid="2.5.29.35")
             same = accepted and name_of_issuer == own
             issuer = ca(subject=own)
-            words = f"{words} issuer {text!r} identified by"
-            yield Case(f"{words} leaf", same, issuer, leaf(identifier, issuer=own))
+            who = f"{words} issuer {text!r} identified by"
+            yield Case(f"{who} leaf", same, issuer, leaf(identifier, issuer=own))
             made = crl(identifier, issuer=own)
-            yield Case(f"{words} list", same, issuer, leaf(issuer=own), made)
+            yield Case(f"{who} list", same, issuer, leaf(issuer=own), made)
         for words, kind, subject in (
             ("permitted", 0xA0, own),
             ("not permitted", 0xA0, other),
@@ -424,11 +429,11 @@ def _general_names():
             limits = sequence_of([tlv(kind, sequence_of([directory(own)]))])
             issuer = ca(extension(limits, TRUE, "2.5.29.30"))
             allowed = accepted and words in ("permitted", "not excluded")
-            words = f"constraints with {text!r}, {words}"
-            yield Case(f"{words} subject", allowed, issuer, leaf(subject=subject))
+            who = f"constraints with {text!r}, {words}"
+            yield Case(f"{who} subject", allowed, issuer, leaf(subject=subject))
             if kind == 0xA1:
                 san = extension(sequence_of([directory(subject)]), oid="2.5.29.17")
-                yield Case(f"{words} subjectAltName", allowed, issuer, leaf(san))
+                yield Case(f"{who} subjectAltName", allowed, issuer, leaf(san))
         for words, named in (("its", own), ("another", other)):
             point = extension(_point([directory(own)]), oid="2.5.29.31")
             scope = sequence_of([tlv(0xA0, tlv(0xA0, directory(named)))])
@@ -440,11 +445,6 @@ def _general_names():
     two = name((CN, "a_b", PRINTABLE), (ORGANIZATION, "c*", PRINTABLE), (CN, "12", NUMERIC))
     value = extension(sequence_of([directory(two)]), oid="2.5.29.17")
     yield Case("a directoryName of three parts", GOOD, ca(), leaf(value))
-
-
-IDP = "2.5.29.28"
-DNS = x509.SubjectAlternativeName([x509.DNSName("x.example")])
-OTHER_NAME = encode(Oid(OTHER)) + tlv(0xA0, tlv(0xA4, b"\x04\x01a"))
 
 
 def _point(names, issuer=b""):
