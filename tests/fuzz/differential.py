@@ -271,6 +271,7 @@ STRICTER = (
     "has the name of the CA",
     "RFC 3779",
     "relative name",
+    "Cannot create empty extension",
     "cannot be compared",
 )
 """What pqsec alone refuses: docs/explanation/adr/0043."""

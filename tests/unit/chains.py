@@ -117,6 +117,11 @@ def x509_name(der):
     return x509.DirectoryName(x509.Name.from_bytes(der))
 
 
+def directory(der):
+    """A directoryName of a name that cryptography does not write."""
+    return tlv(0xA4, der)
+
+
 def _identified(by_key=None, issuer=None, serial=None):
     names = None if issuer is None else [x509_name(issuer)]
     return x509.AuthorityKeyIdentifier(by_key, names, serial)
@@ -427,4 +432,114 @@ def _constraints():
     yield Case("constraints, no subject", GOOD, in_directory, hostless)
 
 
-CASES = [*_key_identifiers(), *_names(), *_forms(), *_scopes(), *_constraints()]
+IDP = "2.5.29.28"
+DNS = x509.SubjectAlternativeName([x509.DNSName("x.example")])
+OTHER_NAME = encode(Oid(OTHER)) + tlv(0xA0, tlv(0xA4, b"\x04\x01a"))
+
+
+def _encoded_defaults():
+    other, reason = extension(b"", FALSE, OTHER), x509.CRLReason(x509.ReasonFlags.key_compromise)
+    entries = {
+        "another extension": (GOOD, entry(other, serial=8)),
+        "two extensions": (GOOD, entry(other, extension(reason, FALSE), serial=8)),
+        "a reason, of its certificate": (BAD, entry(extension(reason, FALSE))),
+    }
+    for words, (accepted, value) in entries.items():
+        made = crl(entries=[entry(serial=5), value])
+        yield Case(f"entry with {words}, critical FALSE", accepted, ca(), leaf(), made)
+    not_critical = entry(extension(b"\x04\x03" + FALSE, oid=OTHER), serial=8)
+    yield Case("entry with FALSE as a value", GOOD, ca(), leaf(), crl(entries=[not_critical]))
+    for critical in (ABSENT, FALSE, TRUE):
+        for words, scope, accepted in (
+            ("all", b"", BAD),  # empty, which RFC 5280 5.2.5 forbids
+            ("user certificates", b"\x81\x01\xff", GOOD),
+            ("CA certificates", b"\x82\x01\xff", BAD),
+            ("other issuers", b"\x84\x01\xff", BAD),
+        ):
+            flags = [bytes((tag, 1, 0)) for tag in (0x81, 0x82, 0x84, 0x85)]
+            given = sequence_of([scope if each[:1] == scope[:1] else each for each in flags])
+            made = crl(extension(given, critical, "2.5.29.28"))
+            older = not scope
+            who = f"list for {words}, others FALSE {critical.hex()}"
+            yield Case(who, accepted, ca(), leaf(), made, older=older)
+    host = common("robot.lab.example")
+    for number, accepted in ((0, GOOD), (1, BAD)):
+        for kind in (0xA0, 0xA1):
+            tree = sequence_of([tlv(0x82, b"lab.example"), bytes((0x80, 1, number))])
+            limits = sequence_of([tlv(kind, tree)])
+            bounded = ca(extension(limits, TRUE, "2.5.29.30"))
+            words = f"constraints {kind:x} with minimum {number}"
+            yield Case(words, accepted and kind == 0xA0, bounded, leaf(subject=host))
+            words += ", another name"
+            yield Case(words, accepted and kind == 0xA1, bounded, leaf(extension(DNS)))
+    for critical in (ABSENT, TRUE):
+        value = extension(b"\x30\x00", critical, IDP)
+        words = f"list of an empty scope {critical.hex()}"
+        yield Case(words, BAD, ca(), leaf(), crl(value), older=True)
+    nul = sequence_of([tlv(0xA0, tlv(0xA0, b"\x82\x01\0"))])
+    yield Case("list of a partition with a NUL", BAD, ca(), leaf(), crl(extension(nul, TRUE, IDP)))
+
+
+def _general_names():
+    for text, tag in (("a_b*@c", PRINTABLE), ("é".encode("latin-1"), T61), (b"a", VISIBLE)):
+        accepted = tag != VISIBLE
+        own, other = common(text, tag), common("other_", PRINTABLE)
+        for words, oid, value in (
+            ("subjectAltName", "2.5.29.17", sequence_of([directory(own)])),
+            ("subjectAltName of two", "2.5.29.17", sequence_of([directory(other), directory(own)])),
+            ("distribution point", "2.5.29.31", _point([directory(own)])),
+            ("issuer of a distribution point", "2.5.29.31", _point([], directory(own))),
+        ):
+            for critical in (ABSENT, TRUE):
+                made = leaf(extension(value, critical, oid))
+                yield Case(f"{words} with {text!r} {critical.hex()}", accepted, ca(), made)
+        for words, name_of_issuer in (("its", own), ("another", other)):
+            value = sequence_of([tlv(0xA1, directory(name_of_issuer)), tlv(0x82, b"\x07")])
+            identifier = extension(value, oid="2.5.29.35")
+            same = accepted and name_of_issuer == own
+            issuer = ca(subject=own)
+            who = f"{words} issuer {text!r} identified by"
+            yield Case(f"{who} leaf", same, issuer, leaf(identifier, issuer=own))
+            made = crl(identifier, issuer=own)
+            yield Case(f"{who} list", same, issuer, leaf(issuer=own), made)
+        for words, kind, subject in (
+            ("permitted", 0xA0, own),
+            ("not permitted", 0xA0, other),
+            ("excluded", 0xA1, own),
+            ("not excluded", 0xA1, other),
+        ):
+            limits = sequence_of([tlv(kind, sequence_of([directory(own)]))])
+            issuer = ca(extension(limits, TRUE, "2.5.29.30"))
+            allowed = accepted and words in ("permitted", "not excluded")
+            who = f"constraints with {text!r}, {words}"
+            yield Case(f"{who} subject", allowed, issuer, leaf(subject=subject))
+            if kind == 0xA1:
+                san = extension(sequence_of([directory(subject)]), oid="2.5.29.17")
+                yield Case(f"{who} subjectAltName", allowed, issuer, leaf(san))
+        for words, named in (("its", own), ("another", other)):
+            point = extension(_point([directory(own)]), oid="2.5.29.31")
+            scope = sequence_of([tlv(0xA0, tlv(0xA0, directory(named)))])
+            made = crl(extension(scope, TRUE, "2.5.29.28"))
+            same = accepted and named == own
+            yield Case(f"list of {words} partition {text!r}", same, ca(), leaf(point), made)
+    san = sequence_of([directory(common("a_b", PRINTABLE)), tlv(0xA0, OTHER_NAME)])
+    yield Case("an otherName, and a_b", GOOD, ca(), leaf(extension(san, oid="2.5.29.17")))
+    two = name((CN, "a_b", PRINTABLE), (ORGANIZATION, "c*", PRINTABLE), (CN, "12", NUMERIC))
+    value = extension(sequence_of([directory(two)]), oid="2.5.29.17")
+    yield Case("a directoryName of three parts", GOOD, ca(), leaf(value))
+
+
+def _point(names, issuer=b""):
+    full = tlv(0xA0, tlv(0xA0, b"".join(names))) if names else b""
+    return sequence_of([sequence_of([full, tlv(0xA2, issuer) if issuer else b""])])
+
+
+CASES = [
+    *_key_identifiers(),
+    *_names(),
+    *_forms(),
+    *_scopes(),
+    *_constraints(),
+    *_encoded_defaults(),
+    *_general_names(),
+]
