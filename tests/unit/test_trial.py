@@ -294,7 +294,7 @@ def test_a_peer_that_is_linked_to_another_library_is_not_run(tools, here, peer, 
 def test_a_compiler_that_takes_too_long_is_ended_with_what_it_started(
     tools, here, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("pqsec_pki.trial.building.PATIENCE", 0.5)
+    monkeypatch.setattr("pqsec_pki.trial.building.PATIENCE", 2)
     tools({"g++": f"sleep 60 & echo $! > {tmp_path}/child; wait"})
     with pytest.raises(BuildError, match="took more than"):
         built(here)
