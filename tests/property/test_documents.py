@@ -78,12 +78,18 @@ PROTECTION = st.sampled_from(ProtectionKind)
 TOPIC_RULES = st.builds(
     TopicRule,
     topic_expression=TEXT,
+    enable_discovery_protection=st.booleans(),
+    enable_liveliness_protection=st.booleans(),
+    enable_read_access_control=st.booleans(),
+    enable_write_access_control=st.booleans(),
     metadata_protection_kind=PROTECTION,
     data_protection_kind=st.sampled_from(list(ProtectionKind)[:3]),
 )
 DOMAIN_RULES = st.builds(
     DomainRule,
     domains=DOMAINS,
+    allow_unauthenticated_participants=st.booleans(),
+    enable_join_access_control=st.booleans(),
     discovery_protection_kind=PROTECTION,
     liveliness_protection_kind=PROTECTION,
     rtps_protection_kind=PROTECTION,

@@ -453,7 +453,8 @@ def test_an_older_document_beside_a_new_certificate_is_refused(robot, bundles, k
 def test_a_bundle_that_is_refused_changes_nothing(robot, bundles, kind):
     put(robot)
     data = bundles[2].to_bytes()
-    bad = {"nonsense": b"x" * 99, "cut": data[:-9], "flipped": data[:999] + b"?" + data[1000:]}
+    flipped = data[:999] + bytes([data[999] ^ 1]) + data[1000:]
+    bad = {"nonsense": b"x" * 99, "cut": data[:-9], "flipped": flipped}
     (robot.parent / "3.bundle").write_bytes(bad.get(kind, data))
     now = NOW + timedelta(days=800) if kind == "expired" else LATER
     before = snapshot(robot)
