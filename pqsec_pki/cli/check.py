@@ -226,7 +226,7 @@ def _more(report: LintReport) -> list[str]:
     """The commands that explain the first of the worst findings, and that list all."""
     lines = [
         f"`pqsec check --explain {each.rule.id}` explains a finding, and how to fix it"
-        for each in sorted(report.findings, key=lambda each: _WORST.index(each.rule.severity))[:1]
+        for each in sorted(report.findings, key=lambda each: _WORST.index(each.severity))[:1]
     ]
     if len(list(_grouped(report.findings))) < len(report.findings):
         lines.append("`--format csv` lists each finding in a line")
