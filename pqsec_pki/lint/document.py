@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from typing import ClassVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import (
@@ -9,6 +10,7 @@ from pqsec_pki.documents import (
     Extensions,
     Governance,
     Grant,
+    Kind,
     Node,
     Permissions,
     Token,
@@ -106,6 +108,8 @@ class Document(Content):
     A document that is neither has this class itself, not a subclass.
     """
 
+    kind: ClassVar[Kind | None] = None
+    """Which of the two documents it is."""
     text: ParsedText | None
     """None with `reason` if the S/MIME around the document cannot be read."""
 
@@ -175,6 +179,8 @@ class Document(Content):
 class GovernanceFile(Document):
     """A governance document."""
 
+    kind = Kind.GOVERNANCE
+
     @property
     def governance(self) -> Governance | None:
         """The parsed document; None if it does not match its schema."""
@@ -188,6 +194,8 @@ class GovernanceFile(Document):
 
 class PermissionsFile(Document):
     """A permissions document."""
+
+    kind = Kind.PERMISSIONS
 
     @property
     def permissions(self) -> Permissions | None:

@@ -83,7 +83,7 @@ class Violation:
     """The path, if it differs from the subject's own path."""
     code: Code | None = None
     """The code of the problem, if it is one of the credentials."""
-    stacks: Affected | None = None
+    stacks: Affected | None = field(default=None, hash=False)
     """The stacks for which it holds, if they are not those of its rule."""
     severity: Severity | None = None
     """If it is not that of the rule."""
@@ -104,7 +104,7 @@ class Rule:
     """The example of `bad`, corrected. Commands continue after those of `bad`."""
     scope: type
     check: Callable[[Any], Iterable[Violation]]
-    stacks: Affected
+    stacks: Affected = field(hash=False)
     """The stacks and versions for which it holds."""
     rows: tuple[str, ...] = ()
     """The measurements that it is based on (rows in docs/reference/rules.md)."""
@@ -137,8 +137,12 @@ class Rule:
         }
 
     def matters_to(self, targets: Collection[str]) -> bool:
-        """Whether the rule runs for these targets; no targets means all."""
+        """Whether it holds for one of these targets; no targets means all."""
         return is_about(self.stacks, targets) if targets else not self.only_when_asked
+
+    def runs_for(self, targets: Collection[str]) -> bool:
+        """Whether it can find anything for them: some findings hold for other stacks than it."""
+        return not self.only_when_asked or self.matters_to(targets)
 
 
 def is_about(affected: Affected, targets: Collection[str]) -> bool:
@@ -200,7 +204,7 @@ class Finding:
     message: str
     code: Code | None = None
     """The reason for which the enclave's credentials are refused, if this is it."""
-    stacks: Affected = field(default_factory=dict)
+    stacks: Affected = field(default_factory=dict, hash=False)
     """The stacks and versions for which it holds."""
     severity: Severity
 
@@ -236,6 +240,10 @@ class Finding:
         """The path, with the line if there is one: FILE:12."""
         return f"{self.path}:{self.line}" if self.line else str(self.path)
 
+    @property
+    def holds(self) -> str:
+        """The stacks and versions for which it holds, in brackets after a space, if some."""
+        return f" [{words(self.stacks)}]" if self.stacks else ""
+
     def __str__(self) -> str:
-        holds = f" [{words(self.stacks)}]" if self.stacks else ""
-        return f"{self.place}: {self.severity} {self.rule.id} {self.message}{holds}"
+        return f"{self.place}: {self.severity} {self.rule.id} {self.message}{self.holds}"

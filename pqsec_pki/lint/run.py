@@ -98,7 +98,8 @@ def check(  # noqa: PLR0913 -- one for each option
     files = list(_suppression_files(named, tuple(ignore), asked, now.date()))
     kept: list[Finding] = []
     ignored: list[tuple[Finding, str]] = []
-    for finding in _findings(asked, inventory, meant):
+    running = [rule for rule in RULES.values() if rule.runs_for(meant)]
+    for finding in _findings(running, inventory, meant):
         taken = next((entry for file in files if (entry := file.take(finding))), None)
         if taken:
             ignored.append((finding, taken.reason))
@@ -122,7 +123,7 @@ def _order(finding: Finding) -> tuple[Path, int, int, str, str]:
 
 
 def _findings(
-    asked: Iterable[Rule], inventory: Inventory, targets: frozenset[str]
+    running: Iterable[Rule], inventory: Inventory, targets: frozenset[str]
 ) -> Iterator[Finding]:
     subjects = (
         *inventory.files,
@@ -133,12 +134,12 @@ def _findings(
         *inventory.enclaves,
     )
     checked = counted(subjects, len(subjects), "subjects")
-    found = (each for each in _answers(asked, checked) if is_about(each.stacks, targets))
+    found = (each for each in _answers(running, checked) if is_about(each.stacks, targets))
     return without_repetitions(found, inventory)
 
 
-def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:
-    rules = list(asked)
+def _answers(running: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:
+    rules = list(running)
     of_class: dict[type, list[Rule]] = {}
     for subject in subjects:
         kind = type(subject)

@@ -102,6 +102,7 @@ def unknown_element(document: Document) -> Iterator[Violation]:
     " Connext takes it, from the version in the finding on.",
     fix="Remove the element, or use such a document only for participants with RTI Connext, and"
     " check it with --target connext.",
+    stacks=all_but({Stack.CONNEXT: ""}),
     rows=("1.2 `enable_key_revision` / `rtps_psk_protection_kind` / allowed algorithms",),
     measured=SIX_STACKS,
     bad="""
