@@ -11,7 +11,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.documents import ros, sros2
-    from pqsec_pki.documents._schema import Kind, load_schemas, validate
+    from pqsec_pki.documents._schema import Extensions, Kind, load_schemas, validate
     from pqsec_pki.documents._xml import with_line_feeds
     from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
@@ -20,6 +20,7 @@ if TYPE_CHECKING:
         governance_to_yaml,
         new_governance,
     )
+    from pqsec_pki.documents.markup import Markup, Token, markup_of
     from pqsec_pki.documents.permissions import (
         Criteria,
         DefaultAction,
@@ -35,7 +36,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.documents.presets import PRESETS, Preset, preset_named
     from pqsec_pki.documents.subject import Subject, parse_subject, same_subject
-    from pqsec_pki.documents.tree import Comment, Node, Tree, read_tree
+    from pqsec_pki.documents.tree import Node, Tree, read_tree
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -43,27 +44,30 @@ __all__ = [
     "MAX_DOMAIN",
     "MAX_DOMAIN_ID",
     "PRESETS",
-    "Comment",
     "Criteria",
     "DefaultAction",
     "DomainRange",
     "DomainRule",
     "DomainSet",
+    "Extensions",
     "Governance",
     "Grant",
     "Kind",
+    "Markup",
     "Node",
     "PermissionRule",
     "Permissions",
     "Preset",
     "ProtectionKind",
     "Subject",
+    "Token",
     "TopicRule",
     "Tree",
     "governance_from_yaml",
     "governance_to_yaml",
     "lasting",
     "load_schemas",
+    "markup_of",
     "new_governance",
     "new_permissions",
     "parse_subject",

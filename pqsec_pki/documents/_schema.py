@@ -9,6 +9,7 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
+from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents._xml import MAX_PROBLEMS, invalid, parse, problem
 from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
 from pqsec_pki.problems import Code, Problem
@@ -27,6 +28,29 @@ class Kind(StrEnum):
 
     GOVERNANCE = "governance"
     PERMISSIONS = "permissions"
+
+
+@dataclass(frozen=True, slots=True)
+class Extensions:
+    """What a stack takes in documents beyond the schema."""
+
+    elements: frozenset[tuple[str, str]]
+    """(parent, element)."""
+    attributes: frozenset[str]
+    """Of any element."""
+    skipped: tuple[str, str]
+    """(attribute, value) of elements that the stack skips if it does not know them."""
+
+    def remove_from(self, root: "_Element") -> None:
+        """Remove them: what remains must match the schema."""
+        name, value = self.skipped
+        for element in list(root.iter("*")):
+            parent = element.getparent()
+            known = parent is not None and (parent.tag, element.tag) in self.elements
+            if parent is not None and (known or element.get(name) == value):
+                parent.remove(element)
+            for each in self.attributes.intersection(element.attrib):
+                del element.attrib[each]
 
 
 _KIND_OF_CONTENT = {"domain_access_rules": Kind.GOVERNANCE, "permissions": Kind.PERMISSIONS}
@@ -66,13 +90,16 @@ _RULES = tuple(
 _PLACE = r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: "
 
 
-def validate(xml: bytes) -> Kind:
+def validate(xml: bytes, extensions: Extensions | None = None) -> Kind:
     """Validate `xml`, and return which of the two documents it is.
 
-    InvalidDocumentError if it is not XML; else it lists everything that breaks the schema, with
-    line, element and rule; if several children of an element are out of place, only the first.
+    It may also have the `extensions` of a stack. InvalidDocumentError if it is not XML; else it
+    lists everything that breaks the schema, with line, element and rule; if several children of an
+    element are out of place, only the first.
     """
     root = parse(xml)
+    if extensions:
+        extensions.remove_from(root)
     kind = _kind(root)
     _check(root, kind)
     return kind

@@ -26,7 +26,7 @@ def to_code_quality(report: LintReport) -> list[dict[str, Any]]:
                 "description": f"{each.message} ({each.rule.title})",
                 "check_name": each.rule.id,
                 "fingerprint": hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest(),
-                "severity": _SEVERITIES[each.rule.severity],
+                "severity": _SEVERITIES[each.severity],
                 "location": {"path": str(each.path), "lines": {"begin": each.line or 1}},
             }
         )

@@ -53,7 +53,7 @@ def _result(finding: Finding, places: dict[str, int]) -> dict[str, Any]:
     return {
         "ruleId": finding.rule.id,
         "ruleIndex": places[finding.rule.id],
-        "level": _LEVELS[finding.rule.severity],
+        "level": _LEVELS[finding.severity],
         "message": {"text": finding.message},
         "locations": [{"physicalLocation": location}],
         **code,

@@ -15,7 +15,7 @@ from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import FileError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.lint import RULES, Finding
+from pqsec_pki.lint import RULES, Finding, Violation
 from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH, stack_named
@@ -215,7 +215,7 @@ def test_what_other_plugins_make_of_it_does_not_matter(model, folder):
 
 
 def _finding(rule):
-    return Finding(rule=rule, path=Path("x"), line=None, message="x")
+    return Finding.of(rule, Violation("x"), Path("x"))
 
 
 # ROS 2

@@ -17,7 +17,7 @@ from pqsec_pki.stacks import Stack
     "PQS336", Severity.ERROR, "the signer's certificate is not in the document",
     why="Cyclone DDS 0.10 and Fast DDS 2.9 search for it only in the document.",
     fix="Sign without -nocerts, or run `pqsec sign-permissions --embed-certificate`.",
-    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
+    stacks={Stack.CYCLONEDDS: "0.10.2, 0.10.5", Stack.FASTDDS: "2.9.1"},
     rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
     bad=r"""
         $ cp k/public/permissions_ca.cert.pem .
