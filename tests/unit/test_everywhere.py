@@ -64,8 +64,8 @@ def test_of_the_domains_that_are_asked_about_no_others_are_answered():
     some = member("/some", allow("a", domains=DomainSet(parts=(DomainRange(first=2),))))
     seven_on = DomainSet(parts=(DomainRange(first=7),))
 
-    assert found([some], ["a"], seven_on) == [("a", "7-9", ("/some",))]
-    assert found([some], ["a"], DomainSet.of(10)) == []
+    assert found([some], ["a"], domains=seven_on) == [("a", "7-9", ("/some",))]
+    assert found([some], ["a"], domains=DomainSet.of(10)) == []
 
 
 def test_domains_are_ungoverned_that_are_asked_about_and_that_governance_does_not_name():
