@@ -55,7 +55,7 @@ def domains(element: "_Element") -> DomainSet:
 
 def _domain_range(element: "_Element") -> DomainRange:
     ends = {end.tag: _domain_id(end) for end in element}
-    return DomainRange(first=ends.get("min", 0), last=ends.get("max"))
+    return DomainRange(first=ends.get("min", 0), last=ends.get("max"), no_min="min" not in ends)
 
 
 def _domain_id(element: "_Element") -> int:

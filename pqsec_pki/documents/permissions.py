@@ -180,7 +180,8 @@ class Permissions:
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a time after the year 2261 and for a character that XML does not allow.
+        UsageError for a time after the year 2261 and for a character that XML does not allow;
+        InvalidDocumentError for what crashes a stack (`crashes`).
         """
         return _writing.permissions_xml(self)
 
