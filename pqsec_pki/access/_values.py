@@ -19,6 +19,8 @@ from pqsec_pki.documents import (
     Permissions,
 )
 
+_SPACE = " \t\r\n"
+"""White space alone is nothing to the XML parsers of all stacks."""
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_SECOND = ((1 << 63) - 1) // 10**9
 """Cyclone DDS counts nanoseconds in 64 bits: April 2262."""
@@ -93,13 +95,15 @@ def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
                 return f"Cyclone DDS refuses documents that name a domain above {MAX_DOMAIN}"
     if any(_is_empty(part) for domains in governed for part in _ranges(domains)):
         return "Cyclone DDS refuses governance with an empty range of domains"
+    if any(part.no_min for domains in governed for part in _ranges(domains)):
+        return "Cyclone DDS refuses governance with a range of domains without <min>"
     return empty_topic_flaw(governance, permissions)
 
 
 def empty_topic_flaw(governance: Governance, permissions: Permissions) -> str:
     """Cyclone DDS, and Fast DDS 2.9.1 in governance, crash on an empty topic (measured)."""
     topics = (topic for criteria in _criteria(permissions) for topic in criteria.topics)
-    if "" in _expressions(governance) or "" in topics:
+    if not all(each.strip(_SPACE) for each in (*_expressions(governance), *topics)):
         return "an empty topic name stops or crashes the reader of the documents"
     return ""
 

@@ -14,7 +14,13 @@ from tempfile import TemporaryDirectory
 from pqsec_pki.access import CYCLONEDDS, CYCLONEDDS_11, FASTDDS, Viewpoint
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.algorithms import profile_named
-from pqsec_pki.documents import DomainSet, Governance, Permissions
+from pqsec_pki.documents import (
+    DomainSet,
+    Governance,
+    Permissions,
+    governance_crashes,
+    grant_crashes,
+)
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
@@ -157,7 +163,9 @@ def _explained(kind, data):
 
 
 def _letters(reading, pair, questions):
-    if "crash" in reading.flaw(*pair):
+    governance, permissions = pair
+    crashes = *governance_crashes(governance.domain_rules), *grant_crashes(permissions.grants)
+    if any(each.shape.crashes(reading.stack, reading.version) for each in crashes):
         return None
     policy = InterpretedPolicy(*pair, reading)
     return "".join(
