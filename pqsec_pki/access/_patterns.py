@@ -22,6 +22,7 @@ _CACHED = 1 << 14
 LONGEST = 4 * MAX_NAME
 """Octets of a name. A pattern that needs more covers no name."""
 _STAR = -1
+_SPACE = " \t\v\r\n"
 SPECIAL = re.compile(r"[*?\[\\]")
 
 
@@ -41,8 +42,11 @@ def either_way(pattern: str, name: str) -> bool:
 
 
 def cyclonedds(pattern: str, name: str) -> bool:
-    """ac_fnmatch of Cyclone DDS 0.10.2: no escapes, and brackets of its own (measured)."""
-    return _covers(_cyclonedds, pattern, name)
+    """ac_fnmatch of Cyclone DDS 0.10.2: no escapes, and brackets of its own (measured).
+
+    Its XML parser removes the white space around each value.
+    """
+    return _covers(_cyclonedds, pattern.strip(_SPACE), name)
 
 
 class Compiled(NamedTuple):

@@ -76,12 +76,15 @@ class Interpretation:
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
         """The grant that applies to the subject, if there is one."""
-        own = [
-            each for each in permissions.grants if self.is_for(each.subject_name, question.subject)
-        ]
+        own = [each for each in permissions.grants if self.is_for(_named(each), question.subject)]
         if self.skips_grants_out_of_force:
             own.sort(key=lambda each: not self.in_force(each, question.now))
         return own[0] if own else None
+
+
+def _named(grant: Grant) -> str:
+    """Its subject as its document has it."""
+    return grant.written.subject_name if grant.spelling else grant.subject_name
 
 
 @dataclass(slots=True, kw_only=True, eq=False)  # not frozen: a fleet has thousands for each answer

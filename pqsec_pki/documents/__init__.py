@@ -13,6 +13,13 @@ if TYPE_CHECKING:
     from pqsec_pki.documents import ros, sros2
     from pqsec_pki.documents._schema import Extensions, Kind, load_schemas, validate
     from pqsec_pki.documents._xml import with_line_feeds
+    from pqsec_pki.documents.crashes import (
+        CRASH_SHAPES,
+        Crash,
+        CrashShape,
+        governance_crashes,
+        grant_crashes,
+    )
     from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
     from pqsec_pki.documents.governance_yaml import (
@@ -41,9 +48,12 @@ else:
     __getattr__ = lazy_exports(__name__, __file__)
 
 __all__ = [
+    "CRASH_SHAPES",
     "MAX_DOMAIN",
     "MAX_DOMAIN_ID",
     "PRESETS",
+    "Crash",
+    "CrashShape",
     "Criteria",
     "DefaultAction",
     "DomainRange",
@@ -63,8 +73,10 @@ __all__ = [
     "Token",
     "TopicRule",
     "Tree",
+    "governance_crashes",
     "governance_from_yaml",
     "governance_to_yaml",
+    "grant_crashes",
     "lasting",
     "load_schemas",
     "markup_of",

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pqsec_pki._times import said
 from pqsec_pki.documents._schema import Kind, validate
+from pqsec_pki.documents.crashes import governance_crashes, grant_crashes, refuse_crashing
 from pqsec_pki.documents.domains import DomainRange
 from pqsec_pki.errors import UsageError
 
@@ -38,7 +39,11 @@ _ESCAPES |= str.maketrans({"\t": "&#9;", "\n": "&#10;", "\r": "&#13;"})
 
 
 def governance_xml(governance: "Governance") -> bytes:
-    """The document. UsageError for a character that XML does not allow."""
+    """The document. UsageError for a character that XML does not allow.
+
+    InvalidDocumentError for what crashes a stack.
+    """
+    refuse_crashing(governance_crashes(governance.domain_rules))
     return _valid(governance_text(governance))
 
 
@@ -49,7 +54,8 @@ def governance_text(governance: "Governance") -> bytes:
 
 
 def permissions_xml(permissions: "Permissions") -> bytes:
-    """The document. UsageError as above, and for a time that no stack understands."""
+    """The document. Errors as above, and UsageError for a time that no stack understands."""
+    refuse_crashing(grant_crashes(permissions.grants))
     return _valid(_document(Kind.PERMISSIONS, ("permissions", map(_grant, permissions.grants))))
 
 

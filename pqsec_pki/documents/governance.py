@@ -140,7 +140,8 @@ class Governance:
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a topic expression with a character that XML does not allow.
+        UsageError for a topic expression with a character that XML does not allow;
+        InvalidDocumentError for what crashes a stack (`crashes`).
         """
         return _writing.governance_xml(self)
 

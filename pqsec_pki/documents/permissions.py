@@ -18,6 +18,9 @@ if TYPE_CHECKING:
     from lxml.etree import _Element
 
 
+_SPACE = " \t\r\n"
+
+
 class DefaultAction(StrEnum):
     """What applies if no rule of a grant matches."""
 
@@ -63,6 +66,17 @@ class PermissionRule:
         return cls(allow=False, domains=domains, publish=everything, subscribe=everything)
 
 
+@dataclass(frozen=True, slots=True)
+class Spelling:
+    """Values of a grant as a document may have them."""
+
+    subject_name: str
+    """With white space around it."""
+    not_before: datetime
+    """In a zone, as `not_after`."""
+    not_after: datetime
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
     """What one subject may do, and when; the first rule that matches decides.
@@ -78,13 +92,21 @@ class Grant:
     not_after: datetime
     rules: tuple[PermissionRule, ...] = ()
     default: DefaultAction = DefaultAction.DENY
+    spelling: Spelling | None = field(default=None, compare=False, repr=False)
+    """How its document has these values, if not as pqsec writes them: stacks differ then."""
     line: int | None = field(default=None, compare=False, repr=False)
     """Its line in the document; None if it was not read from one."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "subject_name", self.subject_name.strip(" \t\r\n"))
+        object.__setattr__(self, "subject_name", self.subject_name.strip(_SPACE))
         object.__setattr__(self, "not_before", _whole_seconds(self.not_before))
         object.__setattr__(self, "not_after", _whole_seconds(self.not_after))
+
+    @property
+    def written(self) -> Spelling:
+        """Its values as its document has them; as they are, if they were changed since."""
+        found, own = self.spelling, Spelling(self.subject_name, self.not_before, self.not_after)
+        return found if found and _plainly(found) == own else own
 
     @classmethod
     def least(  # noqa: PLR0913 - one argument for each part of a grant, all by name
@@ -158,13 +180,20 @@ class Permissions:
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a time after the year 2261 and for a character that XML does not allow.
+        UsageError for a time after the year 2261 and for a character that XML does not allow;
+        InvalidDocumentError for what crashes a stack (`crashes`).
         """
         return _writing.permissions_xml(self)
 
 
 _IN_USE: WeakValueDictionary[bytes, Permissions] = WeakValueDictionary()
 """XML -> the permissions, of those that `from_xml` made."""
+
+
+def _plainly(spelling: Spelling) -> Spelling:
+    """The same, without white space and in UTC."""
+    times = (each.astimezone(UTC) for each in (spelling.not_before, spelling.not_after))
+    return Spelling(spelling.subject_name.strip(_SPACE), *times)
 
 
 def _whole_seconds(time: datetime) -> datetime:
@@ -225,14 +254,17 @@ def permissions_in_elements(xml: bytes) -> Permissions:
 
 def _grant(element: "_Element") -> Grant:
     subject_name, validity, *rules, default = element
-    not_before, not_after = validity
+    written = Spelling(_reading.text(subject_name), *map(_reading.instant, validity))
+    plain = _plainly(written)
+    is_plain = (written, written.not_before.tzinfo, written.not_after.tzinfo) == (plain, UTC, UTC)
     return Grant(
         name=element.get("name", ""),
-        subject_name=_reading.text(subject_name),
-        not_before=_reading.instant(not_before),
-        not_after=_reading.instant(not_after),
+        subject_name=plain.subject_name,
+        not_before=plain.not_before,
+        not_after=plain.not_after,
         rules=tuple(map(_rule, rules)),
         default=DefaultAction(_reading.text(default)),
+        spelling=None if is_plain else written,
         line=_reading.line(element),
     )
 

@@ -1,6 +1,7 @@
 """pqsec and OpenSSL read the same in hostile S/MIME and PEM: a few thousand files in each run.
 
-The long job reads a million of each: python -m tests.fuzz.differential --inputs 1000000
+And stacks decide by policies as pqsec says, and what crashes them pqsec does not sign. The long job
+has a million files of each kind, or a million answers: python -m tests.fuzz.differential
 """
 
 import random
@@ -9,9 +10,10 @@ import shutil
 import pytest
 
 from pqsec_pki.algorithms import SIGNATURES, private_key_pem
-from tests.fuzz import differential
+from tests.fuzz import differential, documents, libcrypto
 
 INPUTS = 400
+DOCUMENTS = 60
 FIXED = 20261122
 
 
@@ -38,6 +40,45 @@ def test_what_we_read_openssl_reads_too(kinds, peers, name, seed):
     result = differential.run(kinds[name], peers, INPUTS, seed)
     assert not result.findings, (seed, result.findings, result.examples)
     assert result.taken > INPUTS / 20  # else it says little
+
+
+@pytest.fixture(scope="module")
+def some_stack(plugins, fastdds):
+    """Those that are always there; others take part if they are there."""
+
+
+@pytest.mark.slow(but=4)
+@pytest.mark.interop
+@pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
+@pytest.mark.parametrize("name", ["policies", "documents"])
+def test_what_we_say_of_a_document_the_stacks_do(kinds, some_stack, name, seed):
+    print("seed", seed)
+    with kinds[name].peers([]) as peers:
+        result = differential.run(kinds[name], peers, DOCUMENTS, seed)
+    assert not result.findings, (seed, result.findings, result.examples)
+    assert result.answers > DOCUMENTS * len(peers)
+
+
+@pytest.mark.interop
+def test_a_document_that_crashes_a_stack_is_kept_and_the_next_one_is_answered(kinds, some_stack):
+    maker = documents.Maker(random.Random(FIXED))  # noqa: S311 -- reproducible, not secret
+    spelling = documents.Spelling(random.Random(FIXED), ())  # noqa: S311
+    governance, permissions = maker.governance(), maker.permissions()
+    good = spelling.document(governance), spelling.document(permissions)
+    for each in governance.walk():
+        each.text = "" if each.tag == "topic_expression" else each.text
+    bad = spelling.document(governance), good[1]
+    files = [
+        libcrypto.pack([*pair, b"0", b"join", b"publish\0a"]) for pair in (bad, good, bad, good)
+    ]
+    kind = kinds["documents"]
+    with kind.peers([]) as peers:
+        for peer in peers:
+            crash, first, again, second = kind.ask(peer, files)
+            assert crash == again == [b"crash", b"SIGSEGV"], peer.stack.name
+            assert first == second
+            assert first[0] != b"crash"
+    assert kind.read(files[0]) == [(each, None) for each, _ in kind.read(files[0])]
 
 
 @pytest.mark.interop
