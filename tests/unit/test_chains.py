@@ -12,7 +12,7 @@ from pqsec_pki.certificates import (
     verify_chain,
     verify_not_revoked,
 )
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import MalformedError, PqsecError
 from tests.unit.chains import (
     CASES,
     CN,
@@ -22,10 +22,13 @@ from tests.unit.chains import (
     Case,
     ca,
     crl,
+    directory,
     entry,
     extension,
     issuing,
     leaf,
+    sequence_of,
+    tlv,
     x509_name,
 )
 
@@ -46,6 +49,18 @@ def takes(case):
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_chain_is_judged_as_every_stack_judges_it(case):
     assert takes(case) == case.accepted
+
+
+@pytest.mark.parametrize("depth", [3, 30, 5000])
+def test_an_extension_with_values_in_values_is_malformed(depth):
+    """Some parsers call themselves for each, until the stack is used up."""
+    names = directory(LEAF_NAME)
+    for _ in range(depth):
+        names = tlv(0xA0, names)
+    value = extension(sequence_of([names]), oid="2.5.29.35")
+    for read, der in ((Certificate.from_der, leaf(value)), (RevocationList.from_der, crl(value))):
+        with pytest.raises(MalformedError):
+            read(der)
 
 
 # What pqsec alone refuses (docs/explanation/adr/0043)
