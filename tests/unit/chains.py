@@ -476,8 +476,12 @@ def _encoded_defaults():
         value = extension(b"\x30\x00", critical, IDP)
         words = f"list of an empty scope {critical.hex()}"
         yield Case(words, BAD, ca(), leaf(), crl(value), older=True)
-    nul = sequence_of([tlv(0xA0, tlv(0xA0, b"\x82\x01\0"))])
-    yield Case("list of a partition with a NUL", BAD, ca(), leaf(), crl(extension(nul, TRUE, IDP)))
+    # A dNSName of a NUL has the octets of onlyContainsCACerts FALSE
+    for words, of_list, accepted in (("its", b"\x82\x01\0", GOOD), ("another", b"\x82\x01\1", BAD)):
+        scope = sequence_of([tlv(0xA0, tlv(0xA0, of_list + tlv(0x86, b"http://b")))])
+        made = crl(extension(scope, TRUE, IDP))
+        point = extension(_point([b"\x82\x01\0"]), oid="2.5.29.31")
+        yield Case(f"list of {words} partition, a NUL", accepted, ca(), leaf(point), made)
 
 
 def _general_names():

@@ -6,14 +6,13 @@ import pytest
 from cryptography import x509
 
 from pqsec_pki._asn1 import Oid, encode, time_of
-from pqsec_pki._der import sequence_of
 from pqsec_pki.certificates import (
     Certificate,
     RevocationList,
     verify_chain,
     verify_not_revoked,
 )
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import MalformedError, PqsecError
 from tests.unit.chains import (
     CASES,
     CN,
@@ -28,11 +27,14 @@ from tests.unit.chains import (
     common,
     constraints,
     crl,
+    directory,
     entry,
     extension,
     issuing,
     leaf,
+    sequence_of,
     signed,
+    tlv,
     x509_name,
 )
 
@@ -59,6 +61,18 @@ def test_a_list_of_version_1_is_read_whatever_strings_its_issuer_has():
     parts = [ECDSA, common("*.lab", PRINTABLE), encode(time_of(START))]
     found = RevocationList.from_der(signed(sequence_of(parts), "ca"))
     assert (found.revoked, found.next_update) == ((), None)
+
+
+@pytest.mark.parametrize("depth", [3, 30, 5000])
+def test_an_extension_with_values_in_values_is_malformed(depth):
+    """Some parsers call themselves for each, until the stack is used up."""
+    names = directory(LEAF_NAME)
+    for _ in range(depth):
+        names = tlv(0xA0, names)
+    value = extension(sequence_of([names]), oid="2.5.29.35")
+    for read, der in ((Certificate.from_der, leaf(value)), (RevocationList.from_der, crl(value))):
+        with pytest.raises(MalformedError):
+            read(der)
 
 
 # What pqsec alone refuses (docs/explanation/adr/0043)

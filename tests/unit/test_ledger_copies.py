@@ -252,6 +252,16 @@ def test_a_question_inside_another_reads_the_ledger_again_only_without_the_lock(
         assert reads
 
 
+@pytest.mark.usefixtures("later")
+def test_a_copy_is_shared_no_longer_than_the_lock_is_held(keystore, reads):
+    """Of a ledger in a database, lines that others add would come into an answer."""
+    with keystore.hold():
+        outer = keystore.open_ledger()
+    reads.clear()
+    with outer, keystore.open_ledger():
+        assert reads
+
+
 def test_a_change_inside_a_question_does_not_change_its_answer(keystore):
     with keystore.hold(), keystore.open_ledger() as outer:
         before, head = outer.size, outer.head
