@@ -9,6 +9,7 @@ from pqsec_pki.credentials import Credentials
 from pqsec_pki.documents import Governance
 from pqsec_pki.enrolment import Bundle, head_problems, install, rollback
 from pqsec_pki.enrolment.credential_store import CredentialStore
+from pqsec_pki.enrolment.robot_clock import verification_time
 from pqsec_pki.enrolment.trust import Marks, TrustState
 from pqsec_pki.errors import KeystoreError, VerificationError
 from pqsec_pki.keystore import CLOCK_SKEW, Keystore, State, list_status, status, was_ahead
@@ -17,6 +18,7 @@ from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
     Rollover,
+    Scope,
     adopt,
     issue,
     renew,
@@ -28,7 +30,7 @@ from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.server.list_keeping import keep_list
 from tests.unit.enrolling import with_files
-from tests.unit.keystores import DAY, NOW, made, rotate
+from tests.unit.keystores import DAY, NOW, begin_overlap, made, rotate
 
 MONTH, ROBOT = 30 * DAY, "/talker"
 KEEP = Renewal(rekey=False)
@@ -164,6 +166,15 @@ def test_what_has_no_number_is_older_than_what_has_one(keystore, tmp_path):
     plain = cas(keystore).sign(xml, now=NOW + DAY)
     with pytest.raises(VerificationError, match="governance is older"):
         put(robot, with_files(bundle(keystore), ROBOT, governance_p7s=plain))
+
+
+def test_a_clock_before_a_new_ca_and_after_the_others_is_believed(keystore):
+    """In an overlap; a clock from before all CAs is not."""
+    terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
+    begin_overlap(keystore, terms, kept=cas(keystore), passphrase=None, now=NOW + MONTH)
+    found = bundle(keystore, now=NOW + MONTH).credentials
+    assert verification_time(found, None, NOW) == NOW
+    assert verification_time(found, None, NOW - MONTH) > NOW
 
 
 def test_older_credentials_of_other_cas_are_not_proposed_with_older(keystore, tmp_path):

@@ -1,7 +1,7 @@
 """Who may do what: each rule of the standard, and where each stack reads otherwise."""
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
@@ -100,6 +100,12 @@ def ask(*rules, by=None, interpretation=SPEC, governed=None, default=DefaultActi
 
 
 # The standard.
+
+
+def test_a_question_asked_in_another_time_zone_is_the_same_question():
+    there = timezone(timedelta(hours=2))
+    assert question(now=NOW.astimezone(there)) == question()
+    assert question(now=NOW.astimezone(there)).now.tzinfo is UTC
 
 
 def test_a_pattern_that_is_the_name_of_a_topic_does_not_allow_that_topic():
