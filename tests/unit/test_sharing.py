@@ -49,6 +49,7 @@ CASES = {
         ("a",),
     ),
     "partitions apart": ([says("a", partitions=("P",))], [hears("a", partitions=("Q",))], ()),
+    "a partition that has no name": ([says("a", partitions=("[b-a]",))], [hears("a")], ()),
     "a partition and the default": ([says("a", partitions=("P",))], [hears("a")], ()),
     "data tags": ([says("a", data_tags=TAGS)], [hears("a")], ("a",)),
     "denied with a data tag": (
