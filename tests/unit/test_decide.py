@@ -17,6 +17,7 @@ from pqsec_pki.access import (
     Protection,
     Question,
     Viewpoint,
+    _subjects,
     decide,
     interpretations_named,
     names_of,
@@ -100,6 +101,12 @@ def ask(*rules, by=None, interpretation=SPEC, governed=None, default=DefaultActi
 
 
 # The standard.
+
+
+def test_cyclone_knows_grants_for_subjects_of_twenty_parts_and_no_more():
+    twenty = ",".join(["CN=r", *(f"OU={each}" for each in range(19))])
+    assert _subjects.cyclonedds(twenty, "CN=r")
+    assert not _subjects.cyclonedds(f"{twenty},OU=x", "CN=r")
 
 
 def test_a_question_asked_in_another_time_zone_is_the_same_question():

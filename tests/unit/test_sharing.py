@@ -39,6 +39,7 @@ CASES = {
     "a topic and a pattern": ([says("rt/a")], [hears("rt/*")], ("rt/a",)),
     "one pattern": ([says("rt/*")], [hears("rt/*")], ("rt/*",)),
     "patterns that meet": ([says("a*")], [hears("*b")], ("ab",)),
+    "a pattern that meets one, beside a topic": ([says("a*")], [hears("*b", "a")], ("ab", "a")),
     "patterns that do not": ([says("a*")], [hears("b*")], ()),
     "denied": ([deny("a"), says("a", "c")], [hears("*")], ("c",)),
     "denied but for one": ([deny("a?"), says("a*")], [hears("a*")], ("a*",)),
