@@ -13,9 +13,9 @@ _FALSE = b"\x01\x01\x00"
 _VERSION_1 = b"\xa0\x03\x02\x01\x00"
 _OCTETS, _LISTED, _EXTENSIONS = 0x04, 0xA0, 0xA3
 """Tags of an OCTET STRING, and of the extensions of a list and of a certificate."""
-_LEAST, _LEAST_OF_LIST, _LEAST_OF_EXTENSION = 6, 3, 2
-"""How many elements a TBSCertificate without its version has, a TBSCertList and an extension. What
-has fewer is left as it is, for cryptography to refuse."""
+_LEAST_OF_LIST, _LEAST_OF_EXTENSION = 3, 2
+"""How many elements a TBSCertList and an extension have. What has fewer is left as it is, for
+cryptography to refuse."""
 _DEFAULTS = {
     encode(Oid("2.5.29.19")): {_FALSE},  # basicConstraints: cA
     # issuingDistributionPoint: its four Booleans
@@ -25,16 +25,17 @@ _DEFAULTS = {
 
 
 def plain_certificate(der: bytes) -> bytes:
-    """The copy of a certificate; `der` itself if that is not DER, for cryptography to refuse."""
+    """The copy of a certificate; `der` itself if that is not DER, for cryptography to refuse.
+
+    It has all parts of a certificate: `Certificate.from_der` read them.
+    """
     tbs, *signed = elements(der, None, "certificate")
     values = elements(tbs, None, "certificate")
-    if len(values) < _LEAST or sequence_of([sequence_of(values), *signed]) != der:
+    if sequence_of([sequence_of(values), *signed]) != der:
         return der
     if values[0] == _VERSION_1:
         del values[0]
     first = values[0][0] == _LISTED  # also the tag of a version
-    if len(values) < first + _LEAST:
-        return der
     values[first] = _SERIAL
     values[first + 2] = values[first + 4] = _NO_NAME
     if values[-1][0] == _EXTENSIONS:

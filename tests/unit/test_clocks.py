@@ -168,6 +168,13 @@ def test_what_has_no_number_is_older_than_what_has_one(keystore, tmp_path):
         put(robot, with_files(bundle(keystore), ROBOT, governance_p7s=plain))
 
 
+def test_certificates_and_lists_that_begin_after_the_robots_clock_are_told(keystore, tmp_path):
+    revoke(keystore, cas(keystore), ["/listener"], now=NOW)
+    done = put(tmp_path / "robot", bundle(keystore), now=NOW - 20_000 * DAY)
+    told = {each.subject for each in done.future if "a clock is wrong" in str(each)}
+    assert told == {f"{ROBOT}: cert.pem", f"{ROBOT}: crl.pem"}
+
+
 def test_a_clock_before_a_new_ca_and_after_the_others_is_believed(keystore):
     """In an overlap; a clock from before all CAs is not."""
     terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
