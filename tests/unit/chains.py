@@ -267,6 +267,8 @@ def _partitions(a, b, some):
     yield "of its partition, of several CAs", GOOD, by(other, ours), of_a
     yield "of its partition, of a host and this CA", GOOD, by(host, ours), of_a
     yield "of its partition, of a host", BAD, by(host), of_a
+    users = issuing(only_contains_user_certs=True)
+    yield "of user certificates, which names a partition", GOOD, points(a), users
     yield "of all, beside a partition of another CA", GOOD, points(a, issuer=LEAF_NAME), None
     part = x509.RelativeDistinguishedName([x509.NameAttribute(Oid(CN), "x")])
     relative = x509.DistributionPoint(None, part, None, [ours])

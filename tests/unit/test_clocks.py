@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from pqsec_pki.credentials import Credentials
+from pqsec_pki.credentials import PROOF, Credentials
 from pqsec_pki.documents import Governance
 from pqsec_pki.enrolment import Bundle, head_problems, install, rollback
 from pqsec_pki.enrolment.credential_store import CredentialStore
@@ -29,6 +29,7 @@ from pqsec_pki.lifecycle import (
 from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.server.list_keeping import keep_list
+from pqsec_pki.transparency import LedgerProof
 from tests.unit.enrolling import with_files
 from tests.unit.keystores import DAY, NOW, begin_overlap, made, rotate
 
@@ -169,8 +170,8 @@ def test_what_has_no_number_is_older_than_what_has_one(keystore, tmp_path):
 
 
 def test_certificates_and_lists_that_begin_after_the_robots_clock_are_told(keystore, tmp_path):
-    revoke(keystore, cas(keystore), ["/listener"], now=NOW)
-    done = put(tmp_path / "robot", bundle(keystore), now=NOW - 20_000 * DAY)
+    revoke(keystore, cas(keystore), ["/listener"], now=NOW + DAY)
+    done = put(tmp_path / "robot", bundle(keystore, now=NOW + DAY), now=NOW - 20_000 * DAY)
     told = {each.subject for each in done.future if "a clock is wrong" in str(each)}
     assert told == {f"{ROBOT}: cert.pem", f"{ROBOT}: crl.pem"}
 
@@ -264,6 +265,29 @@ def test_a_check_finds_a_head_that_is_older_than_one_seen(fork, tmp_path):
     assert found() == []
     put(robot, bundle(fork), older=True)
     assert any("of an older ledger" in each for each in found())
+
+
+def test_only_the_current_set_of_a_robot_is_compared_with_the_head_seen(fork, tmp_path):
+    robot = tmp_path / "robot"
+    put(robot, bundle(fork), older=True)
+    current, trust = robot / "current", robot / "trust.json"
+    found = CredentialStore(robot).current
+    files = found.enclaves[ROBOT]
+    head = LedgerProof.from_bytes(files[PROOF]).checkpoint.head
+
+    def problems():
+        return list(
+            head_problems(found.path / "enclaves/talker", Credentials.of(ROBOT, files), head)
+        )
+
+    assert [each.code for each in problems()] == [Code.OLDER]
+    trust.rename(robot / "trust.kept")
+    assert problems() == []
+    (robot / "trust.kept").rename(trust)
+    current.unlink()
+    assert problems() == []
+    current.symlink_to("sets/1")
+    assert problems() == []
 
 
 def test_bundles_for_two_participants_are_installed_in_any_order(keystore, tmp_path):
