@@ -19,9 +19,9 @@ _FALSE = b"\x01\x01\x00"
 _VERSION_1 = b"\xa0\x03\x02\x01\x00"
 _OID, _SEQUENCE, _LISTED, _EXTENSIONS = 0x06, 0x30, 0xA0, 0xA3
 """Tags; the last two are of the extensions of a list and of a certificate."""
-_LEAST, _LEAST_OF_LIST, _LEAST_OF_EXTENSION = 6, 3, 2
-"""How many elements a TBSCertificate without its version has, a TBSCertList and an extension. What
-has fewer is left as it is, for cryptography to refuse."""
+_LEAST_OF_LIST, _LEAST_OF_EXTENSION = 3, 2
+"""How many elements a TBSCertList and an extension have. What has fewer is left as it is, for
+cryptography to refuse."""
 _OTHER_NAME, _DIRECTORY_NAME = 0xA0, 0xA4
 _CONTAINERS = {_SEQUENCE, 0xA0, 0xA1, 0xA2}
 """Tags of what has a directoryName in it, in the extensions below."""
@@ -48,17 +48,16 @@ _PLACES_BY_DER = {encode(Oid(oid)): places for oid, places in _PLACES.items()}
 def plain_certificate(der: bytes) -> bytes:
     """The copy of a certificate; `der` itself if that is not DER, for cryptography to refuse.
 
+    It has all parts of a certificate: `Certificate.from_der` read them.
     MalformedError if OpenSSL cannot read a name in its extensions.
     """
     tbs, *signed = elements(der, None, "certificate")
     values = elements(tbs, None, "certificate")
-    if len(values) < _LEAST or sequence_of([sequence_of(values), *signed]) != der:
+    if sequence_of([sequence_of(values), *signed]) != der:
         return der
     if values[0] == _VERSION_1:
         del values[0]
     first = values[0][0] == _LISTED  # also the tag of a version
-    if len(values) < first + _LEAST:
-        return der
     values[first] = _SERIAL
     values[first + 2] = values[first + 4] = _NO_NAME
     if values[-1][0] == _EXTENSIONS:

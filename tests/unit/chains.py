@@ -254,6 +254,39 @@ def issuing(*addresses, **options):
     return x509.IssuingDistributionPoint(**given | options)
 
 
+def _partitions(a, b, some):
+    """Distribution points of certificates, and that of a list."""
+    of_a, every = issuing(a), frozenset(x509.ReasonFlags) - {
+        x509.ReasonFlags.unspecified, x509.ReasonFlags.remove_from_crl
+    }  # fmt: skip
+    host, ours, other = x509.DNSName("ca.example"), x509_name(CA_NAME), x509_name(LEAF_NAME)
+    url = [x509.UniformResourceIdentifier(a)]
+
+    def by(*issuers):
+        return x509.CRLDistributionPoints([x509.DistributionPoint(url, None, None, issuers)])
+
+    yield "for all reasons, one by one", GOOD, points(a, reasons=every), of_a
+    yield "of its partition among others", GOOD, points("ldap://x", a), issuing(b, a)
+    yield "of any partition of this CA", GOOD, points(issuer=CA_NAME), of_a
+    yield "of any partition of another CA", BAD, points(issuer=LEAF_NAME), of_a
+    yield "of its partition, of several CAs", GOOD, by(other, ours), of_a
+    yield "of its partition, of a host and this CA", GOOD, by(host, ours), of_a
+    yield "of its partition, of a host", BAD, by(host), of_a
+    users = issuing(only_contains_user_certs=True)
+    yield "of user certificates, which names a partition", GOOD, points(a), users
+    yield "of all, beside a partition of another CA", GOOD, points(a, issuer=LEAF_NAME), None
+    part = x509.RelativeDistinguishedName([x509.NameAttribute(Oid(CN), "x")])
+    relative = x509.DistributionPoint(None, part, None, [ours])
+    yield "of a relative partition", BAD, x509.CRLDistributionPoints([relative]), of_a
+    twice = [x509.DistributionPoint(url, None, each, None) for each in (some, None)]
+    yield "of its partition, twice, first for some", BAD, x509.CRLDistributionPoints(twice), of_a
+    yield "of it, last for some", GOOD, x509.CRLDistributionPoints(twice[::-1]), of_a
+    for text, accepted in (("IDENTITY ca", GOOD), ("other", BAD)):
+        named = x509.DistributionPoint([x509_name(common(text))], None, None, None)
+        point = issuing(full_name=[ours])
+        yield f"of the partition {text}", accepted, x509.CRLDistributionPoints([named]), point
+
+
 def _scopes():
     a, b = "http://a.example/crl", "http://b.example/crl"
     some = frozenset({x509.ReasonFlags.key_compromise})
@@ -278,6 +311,7 @@ def _scopes():
     made = crl(extension(explicit, TRUE, "2.5.29.28"))
     yield Case("list of user certificates, CA FALSE", GOOD, ca(), leaf(), made)
     for words, accepted, value, point in (
+        *_partitions(a, b, some),
         ("of its partition", GOOD, points(a), issuing(a)),
         ("of one of its partitions", GOOD, points(b, a), issuing(a)),
         ("of another partition", BAD, points(b), issuing(a)),

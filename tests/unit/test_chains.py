@@ -12,6 +12,7 @@ from pqsec_pki.certificates import (
     verify_chain,
     verify_not_revoked,
 )
+from pqsec_pki.certificates._rdns import same_name
 from pqsec_pki.errors import MalformedError, PqsecError
 from tests.unit.chains import (
     CASES,
@@ -19,9 +20,11 @@ from tests.unit.chains import (
     ECDSA,
     GOOD,
     LEAF_NAME,
+    NUMERIC,
     PRINTABLE,
     START,
     TRUE,
+    UTF8,
     Case,
     ca,
     common,
@@ -32,6 +35,7 @@ from tests.unit.chains import (
     extension,
     issuing,
     leaf,
+    name,
     sequence_of,
     signed,
     tlv,
@@ -55,6 +59,16 @@ def takes(case):
 @pytest.mark.parametrize("case", CASES, ids=str)
 def test_a_chain_is_judged_as_every_stack_judges_it(case):
     assert takes(case) == case.accepted
+
+
+def test_values_that_are_no_text_are_the_same_only_in_their_octets():
+    identified = ("2.5.4.45", b"\0Z", 0x03)  # a BIT STRING
+    assert same_name(name((CN, "X", UTF8), identified), name((CN, "x", UTF8), identified))
+    assert not same_name(name(identified), name(("2.5.4.45", b"\0z", 0x03)))
+    assert not same_name(name(identified), name(("2.5.4.45", "Z", UTF8)))
+    assert same_name(common("12", PRINTABLE), common("12"))
+    assert not same_name(common("12", NUMERIC), common("12"))
+    assert not same_name(common("1 ", NUMERIC), common("1", NUMERIC))
 
 
 def test_a_list_of_version_1_is_read_whatever_strings_its_issuer_has():

@@ -1,7 +1,7 @@
 """Who may do what: each rule of the standard, and where each stack reads otherwise."""
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
@@ -17,6 +17,7 @@ from pqsec_pki.access import (
     Protection,
     Question,
     Viewpoint,
+    _subjects,
     decide,
     interpretations_named,
     names_of,
@@ -100,6 +101,18 @@ def ask(*rules, by=None, interpretation=SPEC, governed=None, default=DefaultActi
 
 
 # The standard.
+
+
+def test_cyclone_knows_grants_for_subjects_of_twenty_parts_and_no_more():
+    twenty = ",".join(["CN=r", *(f"OU={each}" for each in range(19))])
+    assert _subjects.cyclonedds(twenty, "CN=r")
+    assert not _subjects.cyclonedds(f"{twenty},OU=x", "CN=r")
+
+
+def test_a_question_asked_in_another_time_zone_is_the_same_question():
+    there = timezone(timedelta(hours=2))
+    assert question(now=NOW.astimezone(there)) == question()
+    assert question(now=NOW.astimezone(there)).now.tzinfo is UTC
 
 
 def test_a_pattern_that_is_the_name_of_a_topic_does_not_allow_that_topic():

@@ -8,6 +8,7 @@ from pqsec_pki._der import content, elements, sequence_of
 from pqsec_pki.algorithms import SIGNATURES
 from pqsec_pki.certificates import Authority, Certificate, RevocationList, revocation_list
 from pqsec_pki.errors import MalformedError
+from tests.unit import chains
 
 NOW = datetime(2026, 11, 28, tzinfo=UTC)
 CA = Authority.create("Lab", SIGNATURES.named("ecdsa-p256"), now=NOW, validity=timedelta(9))
@@ -61,3 +62,10 @@ def test_an_extension_without_a_value_is_malformed():
         listed = sequence_of([sequence_of([sequence_of(parts)])], extensions[0])
         with pytest.raises(MalformedError):
             RevocationList.from_der(sequence_of([sequence_of([*values, listed]), *signed]))
+
+
+@pytest.mark.parametrize("octets", ["308100", "308103010100", "300401810100"])
+def test_a_value_of_an_extension_that_is_not_der_is_malformed(octets):
+    Certificate.from_der(chains.leaf(chains.extension(b"\x30\x00", oid="2.5.29.19")))
+    with pytest.raises(MalformedError):
+        Certificate.from_der(chains.leaf(chains.extension(bytes.fromhex(octets), oid="2.5.29.19")))
