@@ -142,12 +142,9 @@ OPENDDS = Interpretation(
 INTERPRETATIONS = (SPEC, CYCLONEDDS, CYCLONEDDS_11, FASTDDS, OPENDDS)
 """The rows of a stack are neighbours, the oldest version first."""
 
-NAMES = tuple(
-    dict.fromkeys(
-        name
-        for row in INTERPRETATIONS
-        for name in (row.stack, row.name, *(each.name for each in row.locales))
-    )
+NAMES = (
+    *dict.fromkeys(name for row in INTERPRETATIONS for name in (row.stack, row.name)),
+    *(each.name for row in INTERPRETATIONS for each in row.locales),
 )
 """All values of `--as`."""
 
