@@ -10,7 +10,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.access._checks import reason_for_several
-    from pqsec_pki.access._patterns import opendds_reads_beyond
+    from pqsec_pki.access._patterns import follows_locale, opendds_reads_beyond
     from pqsec_pki.access._topics import Topics
     from pqsec_pki.access.amending import (
         TopicRights,
@@ -48,6 +48,7 @@ if TYPE_CHECKING:
         CYCLONEDDS_11,
         FASTDDS,
         INTERPRETATIONS,
+        NAMES,
         OPENDDS,
         SPEC,
         interpretations_named,
@@ -66,6 +67,7 @@ __all__ = [
     "FASTDDS",
     "INTERPRETATIONS",
     "MAX_NAME",
+    "NAMES",
     "OPENDDS",
     "SPEC",
     "Action",
@@ -96,6 +98,7 @@ __all__ = [
     "domains_named",
     "domains_said",
     "domains_ungoverned",
+    "follows_locale",
     "granted_topics",
     "interpretations_named",
     "is_known",

@@ -42,7 +42,8 @@ class Interpretation:
     """
 
     name: str
-    """The value of `--as`: a stack, and after `@` its version if a stack has several rows."""
+    """The value of `--as`: a stack, after `@` its version if a stack has several rows, and after
+    `/` the locale of its matching if it is for that locale only."""
     title: str
     """The standard or stack, with the version that it was compared with."""
     covers: Covers
@@ -61,18 +62,26 @@ class Interpretation:
     """Why the stack cannot read these documents; empty if it can."""
     builtin: frozenset[str] = frozenset()
     """Topics that are open to all because of their names."""
+    locales: "tuple[Interpretation, ...]" = ()
+    """If its matching follows the locale of the process: as it is in C and in C.UTF-8. This row is
+    as in C, which is the locale of a process that never called setlocale."""
     join: "dict[Viewpoint, tuple[Check, ...]]"
     use: "dict[Viewpoint, tuple[Check, ...]]"
 
     @property
     def stack(self) -> str:
         """The name of the stack, or of the standard."""
-        return self.name.partition("@")[0]
+        return self.name.partition("/")[0].partition("@")[0]
 
     @property
     def version(self) -> str:
         """The versions of the stack for which it holds, such as 11.0; empty if it has one row."""
-        return self.name.partition("@")[2]
+        return self.name.partition("/")[0].partition("@")[2]
+
+    @property
+    def locale(self) -> str:
+        """The locale for which alone it holds; empty for all."""
+        return self.name.partition("/")[2]
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
         """The grant that applies to the subject, if there is one."""

@@ -219,7 +219,8 @@ def _flat(value: dict[str, object], row: Placed | Flow) -> dict[str, object]:
 
 def _note_doubts(found: WhoMay) -> None:
     """Notes about unknown topics, ungoverned domains and partitions that were not searched."""
-    used = {each.row.topic for each in found.rows if each.is_used}.union(found.too_long)
+    rows = (row for each in (found, *found.others) for row in each.rows)
+    used = {each.row.topic for each in rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():
         nobody = "" if topic in used else ", so nobody may use it"
         is_ros = not instead and ros.is_ros_name(topic)

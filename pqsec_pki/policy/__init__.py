@@ -31,7 +31,7 @@ if TYPE_CHECKING:
         valid_kind,
     )
     from pqsec_pki.policy.named_rights import NamedRight, RightAnswer, Use, answer_right
-    from pqsec_pki.policy.one_sided import doubtful_topics
+    from pqsec_pki.policy.one_sided import doubtful_topics, locale_doubt
     from pqsec_pki.policy.participants import (
         PolicyInput,
         own_permissions,
@@ -64,6 +64,7 @@ __all__ = [
     "fleet_of",
     "flows",
     "governance_in",
+    "locale_doubt",
     "only_subject",
     "own_permissions",
     "permissions_in",

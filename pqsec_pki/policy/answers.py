@@ -6,7 +6,6 @@ from datetime import timedelta
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
-    FASTDDS,
     INTERPRETATIONS,
     SPEC,
     Action,
@@ -20,6 +19,7 @@ from pqsec_pki.access import (
 )
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
 from pqsec_pki.policy.participants import PolicyInput
+from pqsec_pki.stacks import Stack
 
 _MAX_UTC_OFFSET = timedelta(hours=14)
 """The largest difference between a local time and UTC."""
@@ -92,7 +92,7 @@ def answer_of(
         hazard=_zone_hazard(
             interpretation.grant_for(policy_input.permissions.value, question), question
         )
-        if interpretation is FASTDDS
+        if interpretation.stack == Stack.FASTDDS
         else "",
     )
 
@@ -190,7 +190,11 @@ def _answered(
     chosen: Sequence[Interpretation],
     domains: DomainSet,
 ) -> DomainsAnswer:
-    answers = [answer_of(policy_input, question, each) for each in chosen or INTERPRETATIONS]
+    answers = [
+        answer
+        for each in chosen or INTERPRETATIONS
+        for answer in _in_locales(policy_input, question, each)
+    ]
     denials = (each for each in answers if not each.decision.allowed)
     answer = next(denials, answers[0]) if chosen else answers[0]
     join = replace(question, action=Action.JOIN, topic=None)
@@ -203,9 +207,24 @@ def _answered(
     )
 
 
+def _in_locales(
+    policy_input: PolicyInput, question: Question, interpretation: Interpretation
+) -> list[Answer]:
+    """The answer; those in C and in C.UTF-8 if it depends on the locale."""
+    every = interpretation.locales or (interpretation,)
+    answers = [answer_of(policy_input, question, each) for each in every]
+    if any(each.differs(answers[0]) for each in answers):
+        return answers
+    return [replace(answers[0], interpretation=interpretation)]
+
+
 def allows_each(
     policy_input: PolicyInput, question: Question, chosen: Sequence[Interpretation]
 ) -> bool:
-    """Whether each of the chosen interpretations, or without any the standard, allows it."""
-    answers = (answer_of(policy_input, question, each) for each in chosen or (SPEC,))
+    """Whether each of the chosen interpretations, or without any the standard, allows it.
+
+    A chosen one in each locale, the standard as in C.
+    """
+    every = [row for each in chosen for row in each.locales or (each,)] or [SPEC]
+    answers = (answer_of(policy_input, question, each) for each in every)
     return all(each.decision.allowed for each in answers)

@@ -4,6 +4,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
+from itertools import chain
 from operator import itemgetter
 
 from pqsec_pki._dataclass import dataclass
@@ -233,14 +234,27 @@ def who_may_by_each(  # noqa: PLR0913 -- what is asked, by name
     now: datetime,
     versions: Sequence[Interpretation],
 ) -> WhoMay:
-    """The answer by the first version of a stack, with those by the others."""
+    """The answer by the first version of a stack, with those by the others.
+
+    Also with those in C.UTF-8, for topics about which the locale decides.
+    """
+    locales = [row for each in versions for row in each.locales[1:]]
     found, *others = (
         who_may_use(
             fleet, topics, domains=domains, partitions=partitions, now=now, interpretation=each
         )
-        for each in versions
+        for each in (*versions, *(locales if _is_wide(fleet, (*topics, *partitions)) else ()))
     )
-    return replace(found, others=tuple(others))
+    kept = [each for each in others if not each.interpretation.locale or found.differing(each)]
+    return replace(found, others=tuple(kept))
+
+
+def _is_wide(fleet: Fleet, asked: Iterable[str]) -> bool:
+    """Whether a name or pattern is not ASCII: else a locale decides nothing about these names."""
+    rules = (rule for each in fleet.members for g in each.permissions.grants for rule in g.rules)
+    criteria = (each for rule in rules for each in (*rule.publish, *rule.subscribe))
+    partitions = (name for each in criteria for name in each.partitions)
+    return not all(map(str.isascii, chain(asked, topics_named(fleet.members), partitions)))
 
 
 def _ends(

@@ -863,6 +863,97 @@ def test_a_stack_may_be_asked_for_the_matrix(pqsec, put):
 
 
 @pytest.fixture
+def wide(put):
+    """Patterns that cover é in C.UTF-8 alone: one that allows, one that denies."""
+    put("g", Governance.protected(ZERO))
+    denies = rule("door[!a]", allow=False)
+    put("p", permissions(denies, rule("arm?", "door*"), rule("door*", action="subscribe")))
+
+
+@pytest.mark.parametrize(
+    ("asked", "code", "words"),
+    [
+        ("armé", 1, ("YES   Fast DDS 2.9.1 in C.UTF-8 decides differently",)),
+        (
+            "armé --as fastdds",
+            1,
+            ("by Fast DDS 2.9.1 in C\n", "YES   Fast DDS 2.9.1 in C.UTF-8"),
+        ),
+        ("armé --as fastdds/C", 1, ("by Fast DDS 2.9.1 in C\n",)),
+        ("armé --as fastdds/C.UTF-8", 0, ("by Fast DDS 2.9.1 in C.UTF-8\n",)),
+        ("armé --as spec/C.UTF-8", 0, ("by DDS-Security 1.1 in C.UTF-8\n",)),
+        ("doorß", 0, ("YES   CN=/robot", "NO    DDS-Security 1.1 in C.UTF-8")),
+        (
+            "doorß --as fastdds",
+            1,
+            ("by Fast DDS 2.9.1 in C.UTF-8\n", "YES   Fast DDS 2.9.1 in C "),
+        ),
+        ("doorß --as fastdds/C.UTF-8", 1, ("by Fast DDS 2.9.1 in C.UTF-8\n",)),
+        ("doorß --as cyclonedds", 0, ("by Cyclone DDS 0.10.2\n",)),
+        ("armx --as fastdds", 0, ("by Fast DDS 2.9.1\n",)),
+    ],
+)
+def test_explain_says_the_locale_where_the_answer_depends_on_it(pqsec, wide, asked, code, words):
+    said = pqsec(f"{FILES} --publish {asked}")
+    assert said.code == code
+    assert all(each in said.out for each in words), said.out
+    assert ("C.UTF-8" in said.out) is any("C.UTF-8" in each for each in words)
+    found = pqsec(f"{FILES} --publish {asked} --json").json
+    assert found["allowed"] is (code == 0)
+    if "/" in asked:
+        assert (found["as"], found["others"]) == (asked.split()[-1], [])
+
+
+def test_who_may_says_the_locale_where_the_answer_depends_on_it(pqsec, wide):
+    words = (
+        "Fast DDS 2.9.1 in C.UTF-8 decides differently about armé: ask with --as fastdds/C.UTF-8"
+    )
+    said = pqsec("who-may g.xml p.xml --topic armé --as fastdds").done()
+    assert words in said.err
+    assert "nobody may use it" not in said.err
+    assert said.out.splitlines()[1].split() == ["armé", "0", "-", "-"]
+    found = pqsec("who-may g.xml p.xml --topic armé --as fastdds --json").done().json
+    [other] = found["others"]
+    assert (other["as"], other["differs"]) == ("fastdds/C.UTF-8", ["armé"])
+    assert other["topics"][0]["publish"] == ["CN=/robot"]
+    said = pqsec("who-may g.xml p.xml --topic armé --as fastdds/C.UTF-8").done()
+    assert said.out.splitlines()[1].split() == ["armé", "0", "CN=/robot", "-"]
+    assert "in C.UTF-8" in pqsec("who-may g.xml p.xml --topic armé").done().err
+    for ask in ("--as fastdds", "--topic armx --as fastdds", "--topic armé --as cyclonedds"):
+        assert "C.UTF-8" not in pqsec(f"who-may g.xml p.xml {ask}").done().err
+
+
+def test_a_stack_whose_matching_follows_no_locale_has_none(pqsec, wide):
+    for name in ("cyclonedds/C", "opendds/C.UTF-8", "fastdds/en_US.UTF-8", "fastdds/"):
+        pqsec(f"who-may g.xml p.xml --as {name}").refused(2, "is not one of 'spec'")
+
+
+def test_a_pattern_that_depends_on_the_locale_is_said_when_it_is_signed(
+    pqsec, keystore, put, tmp_path
+):
+    keystore()
+    words = "what {} matches in Fast DDS depends on the locale of the process (PQS244)"
+    (tmp_path / "p.yaml").write_text(
+        "grants: [{name: /talker, domains: 0, rules: [{allow: {publish: ['rt/a?', rt/b]}}]}]"
+    )
+    said = pqsec("-k k sign-permissions p.yaml -o p.p7s").done()
+    assert said.err.count("PQS244") == 1
+    assert words.format("rt/a?") in said.err
+    said = pqsec("-k k issue /new --publish 'rt/[!a]' --subscribe 'rt/x*'").done()
+    assert words.format("rt/[!a]") in said.err
+    assert words.format("rt/d?") in pqsec("-k k permit /talker --publish 'rt/d?' --yes").done().err
+    governance = Governance.protected(ZERO)
+    [domain_rule] = governance.domain_rules
+    [topic_rule] = domain_rule.topic_rules
+    first = replace(topic_rule, topic_expression="rt/[é]")
+    put(
+        "g",
+        replace(governance, domain_rules=(replace(domain_rule, topic_rules=(first, topic_rule)),)),
+    )
+    assert words.format("rt/[é]") in pqsec("-k k sign-governance g.xml -o g.p7s").done().err
+
+
+@pytest.fixture
 def partitioned(put):
     """A robot that may publish the map in partition A alone, and a station that hears it in all."""
     put("g", Governance.protected(ZERO))

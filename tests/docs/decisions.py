@@ -14,6 +14,9 @@ Cyclone DDS 11.0.1 is upstream's tag of that name (`e54e991f7`), run on 2026-11-
 same access control. In 11.0 the check of the topic changed (`5ac329b05`), and spaces in subject
 names are ignored (`5e0dfea02`). 11.0.1 gave all 6,096 answers as in its column; 132 of them, all
 yes, are no in 0.10.2.
+The columns are as in the locale C. In C.UTF-8, `?` and `[!a]` of the standard and of Fast DDS also
+cover a character of several octets, such as é
+([ADR 46](../explanation/adr/0046-the-locale-of-matching.md)).
 [Querying a policy](../how-to/questions.md) shows the commands that use these interpretations."""
 WRITTEN = """## How a document is written
 

@@ -879,6 +879,10 @@ def test_a_reading_is_found_by_its_name():
         ("cyclonedds@0.10.5", (CYCLONEDDS,)),
         ("cyclonedds@11", (CYCLONEDDS_11,)),
         ("cyclonedds@11.0.1", (CYCLONEDDS_11,)),
+        ("fastdds", (FASTDDS,)),
+        ("fastdds/C", FASTDDS.locales[:1]),
+        ("fastdds/C.UTF-8", FASTDDS.locales[1:]),
+        ("spec/C.UTF-8", SPEC.locales[1:]),
     ],
 )
 def test_a_version_is_within_its_row_and_a_stack_has_all_of_its_rows(name, rows):
@@ -890,6 +894,7 @@ def test_a_version_is_within_its_row_and_a_stack_has_all_of_its_rows(name, rows)
     [
         *("connext", "cyclonedds@", "cyclonedds@0.9", "cyclonedds@0.1", "cyclonedds@11.1"),
         *("cyclonedds@11.", "cyclonedds@11.0.x", "cyclonedds@1", "@11.0", "spec@", "spec@1.1", ""),
+        *("fastdds/", "fastdds/c", "fastdds/en_US.UTF-8", "opendds/C", "cyclonedds@11/C", "/C"),
     ],
 )
 def test_a_version_without_a_row_is_refused(name):

@@ -3,7 +3,7 @@
 import re
 from collections.abc import Iterator
 
-from pqsec_pki.access import opendds_reads_beyond
+from pqsec_pki.access import follows_locale, opendds_reads_beyond
 from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.rule import CYCLONE, CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
@@ -136,6 +136,25 @@ def star_inside(document: Document) -> Iterator[Violation]:
     for node in document.all(*_PATTERNS):
         if re.search(r"\*[^*]", node.value):
             yield document.at(node, f"{node.value[:60]!a}: OpenDDS does not backtrack after a star")
+
+
+@lint_rule(
+    "PQS244", WARNING, "a pattern that depends on the locale",
+    why="Fast DDS calls fnmatch, which follows the locale of the process. In C, as in a C++ node, ?"
+    " and [!a] match an octet. In C.UTF-8, as in a Python node, they also match a character such as"
+    " é, of two octets. So participants of one domain may decide differently.",
+    fix="List the characters in ASCII, as [0-9a-z], or write a star. `pqsec explain --as"
+    " fastdds/C.UTF-8` shows the decision of Python nodes.",
+    stacks=(Stack.FASTDDS,), measured="Fast DDS 2.9.1; glibc 2.36, 2.41",
+    bad="<topic>rt/arm?</topic>",
+    good="<topic>rt/arm[0-9]</topic>",
+)  # fmt: skip
+def of_locale(document: Document) -> Iterator[Violation]:
+    for node in document.all(*_PATTERNS):
+        if follows_locale(node.value):
+            yield document.at(
+                node, f"{node.value[:60]!a}: in a UTF-8 locale it matches other names than in C"
+            )
 
 
 @lint_rule(

@@ -185,7 +185,7 @@ def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
     bad="""
         <publish>
           <topics><topic>rt/chatter</topic></topics>
-          <partitions><partition>floor?</partition></partitions>
+          <partitions><partition>floor[12]</partition></partitions>
         </publish>
     """,
     good="""
