@@ -31,7 +31,7 @@ _WORST = [Severity.ERROR, Severity.WARNING, Severity.INFO]
 _GROUPED = 2
 """Fewer equal findings after a first one are lines of their own."""
 _GITLAB, _SARIF = "gitlab", "sarif"
-_COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
+_COLUMNS = ("severity", "rule", "path", "line", "message", "fix", "stacks")
 
 
 @_help.command(
@@ -130,7 +130,7 @@ def check(  # noqa: PLR0913 -- one for each option
             report.to_json(strict=strict),
             [*report_lines(report), *_more(report)],
             columns=_COLUMNS,
-            items=(each.to_json() for each in report.findings),
+            items=(each.to_json() | {"stacks": words(each.stacks)} for each in report.findings),
         )
     if code := _exit_code(report, strict=strict):
         click.get_current_context().exit(code)

@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 import pytest
 
 from pqsec_pki.documents import DomainSet, Governance
-from pqsec_pki.lint import RULES, Severity, check
+from pqsec_pki.lint import RULES, Severity, check, to_code_quality, to_sarif
 from pqsec_pki.lint.documents._extensions import ROWS
 from pqsec_pki.stacks import Stack
 from tests.unit.linting import Lab
@@ -180,3 +180,14 @@ def test_a_namespace_that_fast_dds_ignores_is_no_error_for_it(tmp_path):
     assert {each.severity for each in found_in(tmp_path, text, Stack.FASTDDS)} == {Severity.WARNING}
     assert errors_in(tmp_path, text, Stack.CYCLONEDDS)
     assert errors_in(tmp_path, text, Stack.CONNEXT)
+
+
+def test_reports_for_other_programs_name_the_stacks_too(tmp_path):
+    (tmp_path / "document.xml").write_text(OBSERVED)
+    report = check([tmp_path / "document.xml"], now=NOW, targets=[Stack.FASTDDS])
+    holds = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1; Fast DDS 2.9.1, 3.1.2, 3.6.2; ROS 2"
+    [issue] = [each for each in to_code_quality(report) if each["check_name"] == "PQS231"]
+    assert issue["description"].endswith(f"[{holds}]")
+    [run] = to_sarif(report)["runs"]
+    [result] = [each for each in run["results"] if each["ruleId"] == "PQS231"]
+    assert result["properties"] == {"stacks": holds}
