@@ -26,7 +26,7 @@ from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.fuzz import documents, libcrypto, spoiling, stacks
 
-QUESTIONS = 30
+QUESTIONS = 50
 YEAR = timedelta(days=365)
 
 

@@ -96,7 +96,7 @@ def test_cyclone_dds_reads_a_time_in_a_zone_beyond_12_hours_as_past(zone, readin
 
 @pytest.mark.parametrize("number", ["010", "08", "+010", "00231", "0000000007777"])
 def test_a_number_that_is_octal_for_cyclone_dds_is_refused_with_its_line(number):
-    with pytest.raises(InvalidDocumentError, match="readers differ: .* is octal") as caught:
+    with pytest.raises(InvalidDocumentError, match=r"readers differ: .* is octal") as caught:
         permissions(domain=f"<id>{number}</id>")
     assert caught.value.problems[0].line == 3
 
