@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         without_counterpart,
     )
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
-    from pqsec_pki.access.decision import Decision, Part, Protection
+    from pqsec_pki.access.decision import Decision, Markup, Part, Protection, Verdict
     from pqsec_pki.access.diff import permissions_diff
     from pqsec_pki.access.everywhere import (
         Placed,
@@ -76,6 +76,7 @@ __all__ = [
     "DocumentOwner",
     "Interpretation",
     "InterpretedPolicy",
+    "Markup",
     "Part",
     "ParticipantDocuments",
     "Placed",
@@ -85,6 +86,7 @@ __all__ = [
     "TopicRight",
     "TopicRights",
     "TopicRow",
+    "Verdict",
     "Viewpoint",
     "add_grant",
     "add_rights",

@@ -88,7 +88,7 @@ FASTDDS = Interpretation(
     knows_relay=True,
     partitions_met=_criteria.cyclonedds_partitions,
     tags_met=_criteria.no_tags,
-    flaw=_values.empty_topic_flaw,
+    flaw=_values.fastdds_flaw,
     # A domain that governance does not name is treated as one with join access control.
     join={
         Viewpoint.OWN: (in_force, _stacks.fastdds_own_participant),

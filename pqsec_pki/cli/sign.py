@@ -98,7 +98,7 @@ def sign_permissions(file: Path, **choices: Any) -> None:
 
 def _sign(  # noqa: PLR0913 -- one for each option
     kind: Kind,
-    check: Callable[[bytes], object],
+    check: Callable[[bytes], Governance | Permissions],
     file: Path,
     *,
     output: Path | None,
@@ -110,6 +110,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
     document = document_at(file, kind)
     with located(file):
         value = check(document)
+        value.to_xml()  # what it refuses is refused with the file's name
     goal = output or file.with_suffix(".p7s")
     if not force:  # before the passphrase is asked for
         refuse_existing(goal)

@@ -201,7 +201,11 @@ def _of_ros(
 
 
 def _note_doubts(found: WhoMay) -> None:
-    """Notes about unknown topics and ungoverned domains."""
+    """Notes about participants without an answer, unknown topics and ungoverned domains."""
+    for each in (found, *found.others):
+        for name, reason in each.unanswered.items():
+            words = f"no answer by {each.interpretation.title} for {printable(name)}"
+            _printing.note(f"{words}: {printable(reason)}")
     used = {each.row.topic for each in found.rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():
         nobody = "" if topic in used else ", so nobody may use it"

@@ -66,21 +66,21 @@ _RULES = tuple(
 _PLACE = r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: "
 
 
-def validate(xml: bytes) -> Kind:
+def validate(xml: bytes, *, any_markup: bool = False) -> Kind:
     """Validate `xml`, and return which of the two documents it is.
 
     InvalidDocumentError if it is not XML; else it lists everything that breaks the schema, with
     line, element and rule; if several children of an element are out of place, only the first.
     """
-    root = parse(xml)
+    root = parse(xml, any_markup=any_markup)
     kind = _kind(root)
     _check(root, kind)
     return kind
 
 
-def read(xml: bytes, kind: Kind) -> "_Element":
+def read(xml: bytes, kind: Kind, *, any_markup: bool = False) -> "_Element":
     """The root element of a valid document of that kind; errors as in `validate`."""
-    root = parse(xml)
+    root = parse(xml, any_markup=any_markup)
     found = _kind(root)
     if found is not kind:
         raise InvalidDocumentError([problem(root, f"is a {found} document, not a {kind} one")])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
-from pqsec_pki.access import SPEC, Decision, Interpretation, Question
+from pqsec_pki.access import SPEC, Decision, Interpretation, Markup, Question
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -19,7 +19,7 @@ from pqsec_pki.credentials import (
     subject_problems,
     verify_credentials,
 )
-from pqsec_pki.documents import DomainRule, Governance, Permissions, TopicRule
+from pqsec_pki.documents import DomainRule, Governance, Kind, Permissions, TopicRule
 from pqsec_pki.errors import MissingError, VerificationError, located
 from pqsec_pki.keystore import Keystore, enclave_files, load_certificate, regular_name
 from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
@@ -49,7 +49,10 @@ class PolicyInput:
     def place(self, decision: Decision) -> tuple[Path, int] | None:
         """The file and line of the rule that decided."""
         part = decision.decided_by
-        source = self.governance if isinstance(part, DomainRule | TopicRule) else self.permissions
+        governing = isinstance(part, DomainRule | TopicRule) or (
+            isinstance(part, Markup) and part.document is Kind.GOVERNANCE
+        )
+        source = self.governance if governing else self.permissions
         line = source.line(part.line) if part else None
         return (source.path, line) if line else None
 
@@ -120,35 +123,44 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
         subject=certificate.subject_name,
         not_after=min(certificate.not_after, anchors.not_after),
         keys=" and ".join(each.algorithm.name for each in certificate.own_keys),
-        governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
-        permissions=own_permissions(keystore, name, now, check),
+        governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check, any_markup=True),
+        permissions=own_permissions(keystore, name, now, check, any_markup=True),
     )
-    _refuse_enclave(keystore, policy_input.who, now)
+    _refuse_enclave(keystore, policy_input, now)
     return policy_input
 
 
-def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
-    """VerificationError if its own stack would refuse the enclave, apart from its grants."""
+def _refuse_enclave(keystore: Keystore, policy_input: PolicyInput, now: datetime) -> None:
+    """VerificationError if its own stack would refuse the enclave, apart from its grants.
+
+    Documents with markup in values are read here as valid: `readers differ` is the answer.
+    """
+    name, answered = policy_input.who, _GRANT_PROBLEMS
+    if policy_input.governance.value.markup or policy_input.permissions.value.markup:
+        answered = answered | {Code.DOCUMENT_INVALID}
     files = enclave_files(keystore.root, name)
     public = {file: data for file, data in files.items() if file not in KEYS}
     try:
         verify_credentials(Credentials.of(name, public), now=now)
     except VerificationError as error:
-        problems = [each for each in error.problems if each.code not in _GRANT_PROBLEMS]
+        problems = [each for each in error.problems if each.code not in answered]
         if problems:
             raise VerificationError(*problems, hint=error.hint) from error
 
 
 def own_permissions(
-    keystore: Keystore, name: str, now: datetime, check: Check | None
+    keystore: Keystore, name: str, now: datetime, check: Check | None, *, any_markup: bool = False
 ) -> Loaded[Permissions]:
-    """The permissions document of a participant."""
-    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check)
+    """The permissions document of a participant; `any_markup` as in `permissions_in`."""
+    path = enclave_file(keystore, name, PERMISSIONS)
+    return permissions_in(path, now, check, any_markup=any_markup)
 
 
-def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
-    """The governance document of the keystore."""
-    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check)
+def shared_governance(
+    keystore: Keystore, check: Check | None, *, any_markup: bool = False
+) -> Loaded[Governance]:
+    """The governance document of the keystore; `any_markup` as in `governance_in`."""
+    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check, any_markup=any_markup)
 
 
 def own_governance(
@@ -157,4 +169,5 @@ def own_governance(
     """The governance of a participant, normally a link to the shared one."""
     path = enclave_file(keystore, name, GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
-    return shared.value if is_shared else governance_in(path, check).value
+    own = shared if is_shared else governance_in(path, check, any_markup=bool(shared.value.markup))
+    return own.value

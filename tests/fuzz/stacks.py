@@ -41,7 +41,9 @@ from tests.interop.cyclone import find_plugins, plugins_of
 MOST_SECONDS = 60
 """After that long with one document a stack counts as hanging."""
 _ENVIRONMENT = {
-    **{"LC_ALL": "C", "PYTHONCOERCECLOCALE": "0", "TZ": "UTC"},  # as patterns and times are read
+    "LC_ALL": "C",  # in which patterns are compared, and in UTC times
+    "PYTHONCOERCECLOCALE": "0",
+    "TZ": "UTC",
     "MALLOC_PERTURB_": "165",  # new and freed memory has no zeros: reading it is mostly seen
     "PQSEC_FASTDDS_DEAF": "1",  # fastdds_shim.cpp
 }
@@ -139,9 +141,7 @@ def _answer(open_, folder, question):
     (folder / "permissions.p7s").write_bytes(permissions)
     now = datetime.now(UTC)
     with open_(folder, int(domain)) as stack:
-        letters = "".join(
-            _letters(stack, question_of(each, int(domain), now)) for each in asked
-        )
+        letters = "".join(_letters(stack, question_of(each, int(domain), now)) for each in asked)
         return [stack.unfit.encode(), letters.encode()]
 
 
