@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         without_counterpart,
     )
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
-    from pqsec_pki.access.decision import Decision, Part, Protection
+    from pqsec_pki.access.decision import Decision, Markup, Part, Protection, Verdict
     from pqsec_pki.access.diff import permissions_diff
     from pqsec_pki.access.everywhere import (
         Placed,
@@ -79,6 +79,7 @@ __all__ = [
     "DocumentOwner",
     "Interpretation",
     "InterpretedPolicy",
+    "Markup",
     "Part",
     "ParticipantDocuments",
     "Placed",
@@ -89,6 +90,7 @@ __all__ = [
     "TopicRights",
     "TopicRow",
     "Topics",
+    "Verdict",
     "Viewpoint",
     "add_grant",
     "add_rights",

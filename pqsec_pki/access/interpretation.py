@@ -1,6 +1,6 @@
 """What an interpretation of the documents consists of, and what a check receives."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
@@ -14,6 +14,7 @@ from pqsec_pki.access._witnesses import is_wildcard
 from pqsec_pki.access.decision import Decision
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import (
+    Crash,
     Criteria,
     DomainRule,
     DomainSet,
@@ -59,7 +60,7 @@ class Interpretation:
     partitions_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
     tags_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
     flaw: Callable[[Governance, Permissions], str]
-    """Why the stack cannot read these documents; empty if it can."""
+    """Why the stack refuses these documents as a whole; empty if it does not."""
     builtin: frozenset[str] = frozenset()
     """Topics that are open to all because of their names."""
     locales: "tuple[Interpretation, ...]" = ()
@@ -82,6 +83,11 @@ class Interpretation:
     def locale(self) -> str:
         """The locale for which alone it holds; empty for all."""
         return self.name.partition("/")[2]
+
+    def crash_in(self, crashes: Iterable[Crash]) -> Crash | None:
+        """The first of them that crashes the stack."""
+        ours = (each for each in crashes if each.shape.crashes(self.stack, self.version))
+        return next(ours, None)
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
         """The grant that applies to the subject, if there is one."""

@@ -95,7 +95,7 @@ CYCLONEDDS_11 = replace(
 _FASTDDS = Interpretation(
     name=Stack.FASTDDS.value,
     title=f"{Stack.FASTDDS.product} 2.9.1",
-    covers=_patterns.posix_without_escapes,
+    covers=_patterns.fastdds,
     governs=_patterns.either_way,
     is_for=_subjects.fastdds,
     includes=_values.fastdds_includes,
@@ -104,7 +104,7 @@ _FASTDDS = Interpretation(
     knows_relay=True,
     partitions_met=_criteria.cyclonedds_partitions,
     tags_met=_criteria.no_tags,
-    flaw=_values.empty_topic_flaw,
+    flaw=_values.fastdds_flaw,
     # A domain that governance does not name is treated as one with join access control.
     join={
         Viewpoint.OWN: (in_force, _stacks.fastdds_own_participant),

@@ -113,6 +113,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
     document = document_at(file, kind)
     with located(file):
         value = check(document)
+        value.to_xml()  # what it refuses is refused with the file's name
     goal = output or file.with_suffix(".p7s")
     if not force:  # before the passphrase is asked for
         refuse_existing(goal)

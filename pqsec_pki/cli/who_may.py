@@ -218,7 +218,12 @@ def _flat(value: dict[str, object], row: Placed | Flow) -> dict[str, object]:
 
 
 def _note_doubts(found: WhoMay) -> None:
-    """Notes about unknown topics, ungoverned domains and partitions that were not searched."""
+    """Notes about participants without an answer, unknown topics, ungoverned domains and partitions
+    that were not searched."""
+    for each in (found, *found.others):
+        for name, reason in each.unanswered.items():
+            words = f"no answer by {each.interpretation.title} for {printable(name)}"
+            _printing.note(f"{words}: {printable(reason)}")
     rows = (row for each in (found, *found.others) for row in each.rows)
     used = {each.row.topic for each in rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():

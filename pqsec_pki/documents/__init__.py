@@ -19,6 +19,7 @@ if TYPE_CHECKING:
         CrashShape,
         governance_crashes,
         grant_crashes,
+        is_empty,
     )
     from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
@@ -77,6 +78,7 @@ __all__ = [
     "governance_from_yaml",
     "governance_to_yaml",
     "grant_crashes",
+    "is_empty",
     "lasting",
     "load_schemas",
     "markup_of",

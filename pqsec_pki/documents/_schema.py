@@ -90,14 +90,14 @@ _RULES = tuple(
 _PLACE = r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: "
 
 
-def validate(xml: bytes, extensions: Extensions | None = None) -> Kind:
+def validate(xml: bytes, extensions: Extensions | None = None, *, any_markup: bool = False) -> Kind:
     """Validate `xml`, and return which of the two documents it is.
 
     It may also have the `extensions` of a stack. InvalidDocumentError if it is not XML; else it
     lists everything that breaks the schema, with line, element and rule; if several children of an
     element are out of place, only the first.
     """
-    root = parse(xml)
+    root = parse(xml, any_markup=any_markup)
     if extensions:
         extensions.remove_from(root)
     kind = _kind(root)
@@ -105,9 +105,9 @@ def validate(xml: bytes, extensions: Extensions | None = None) -> Kind:
     return kind
 
 
-def read(xml: bytes, kind: Kind) -> "_Element":
+def read(xml: bytes, kind: Kind, *, any_markup: bool = False) -> "_Element":
     """The root element of a valid document of that kind; errors as in `validate`."""
-    root = parse(xml)
+    root = parse(xml, any_markup=any_markup)
     found = _kind(root)
     if found is not kind:
         raise InvalidDocumentError([problem(root, f"is a {found} document, not a {kind} one")])

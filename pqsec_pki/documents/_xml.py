@@ -11,7 +11,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
-from pqsec_pki.problems import Problem
+from pqsec_pki.problems import Code, Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLParser, _Element
@@ -83,7 +83,7 @@ def _markup_in_values(root: "_Element") -> Iterator[Problem]:
                 markup.setdefault(element, "a CDATA section")
     for element, what in markup.items():
         words = f"readers differ: {what} in a value, where Fast DDS stops reading; write plain text"
-        yield problem(element, words)
+        yield problem(element, words, Code.READERS_DISAGREE)
 
 
 def _is_value(element: "_Element") -> bool:
@@ -119,7 +119,12 @@ def invalid(message: str, line: int | None = None) -> InvalidDocumentError:
     return InvalidDocumentError([Problem(message, line=line)])
 
 
-def problem(element: "_Element", message: str) -> Problem:
+def is_markup(error: InvalidDocumentError) -> bool:
+    """Whether the document is refused only because of markup in its values."""
+    return all(each.code is Code.READERS_DISAGREE for each in error.problems)
+
+
+def problem(element: "_Element", message: str, code: Code = Code.OTHER) -> Problem:
     """The problem `message`, with the element and its line."""
     line: int = element.sourceline  # type: ignore[assignment] # lxml-stubs leave its type open
-    return Problem(message, line=line, element=shown(element.tag))
+    return Problem(message, code, line=line, element=shown(element.tag))

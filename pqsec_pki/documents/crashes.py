@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents.domains import DomainRange
-from pqsec_pki.errors import InvalidDocumentError
 from pqsec_pki.problems import Problem
 from pqsec_pki.stacks import Stack
 
@@ -87,7 +86,7 @@ def governance_crashes(rules: "Iterable[DomainRule]") -> Iterator[Crash]:
     """What crashes stacks in the domain rules of a governance document."""
     for rule in rules:
         for topic_rule in rule.topic_rules:
-            if _is_empty(topic_rule.topic_expression):
+            if is_empty(topic_rule.topic_expression):
                 yield Crash(EMPTY_EXPRESSION, topic_rule)
 
 
@@ -98,16 +97,10 @@ def grant_crashes(grants: "Iterable[Grant]") -> Iterator[Crash]:
             if any(isinstance(each, DomainRange) and each.no_min for each in rule.domains.parts):
                 yield Crash(RANGE_WITHOUT_MIN, rule)
             for criteria in (*rule.publish, *rule.subscribe):
-                if any(map(_is_empty, criteria.topics)):
+                if any(map(is_empty, criteria.topics)):
                     yield Crash(EMPTY_TOPIC, rule, criteria)
 
 
-def refuse_crashing(crashes: Iterable[Crash]) -> None:
-    """InvalidDocumentError with each of them, if there are any."""
-    if problems := [each.problem for each in crashes]:
-        raise InvalidDocumentError(problems)
-
-
-def _is_empty(value: str) -> bool:
+def is_empty(value: str) -> bool:
     """Whether it has nothing but white space, which stacks drop."""
     return not value.strip(_XML_SPACE)

@@ -9,10 +9,11 @@ from weakref import WeakValueDictionary
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _plain, _reading, _schema, _writing
-from pqsec_pki.documents._xml import with_line_feeds
+from pqsec_pki.documents._xml import is_markup, with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.subject import parse_subject, same_subject
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import InvalidDocumentError, UsageError
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -146,6 +147,8 @@ class Permissions:
     """A permissions document (DDS-Security 1.1, 9.4.1.3)."""
 
     grants: tuple[Grant, ...]
+    markup: tuple[Problem, ...] = ()
+    """Values with markup in them, which readers read differently; each has its line."""
     is_plain: bool = field(default=False, init=False, compare=False, repr=False)
     """Whether it was read from a text in the form in which pqsec writes most of them."""
 
@@ -161,11 +164,12 @@ class Permissions:
         )
 
     @classmethod
-    def from_xml(cls, xml: bytes) -> "Permissions":
+    def from_xml(cls, xml: bytes, *, any_markup: bool = False) -> "Permissions":
         """The permissions in the XML document.
 
         InvalidDocumentError if it is not XML, or breaks its schema, or has
-        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits. The same XML,
+        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits, or, unless
+        `any_markup`, markup in a value. The same XML,
         with LF or CRLF, gives the same value while one is in use: several questions about a fleet
         read it once.
         """
@@ -173,15 +177,16 @@ class Permissions:
         found = _IN_USE.get(xml)
         if found is None:
             plain = _plain.read(xml)
-            found = _of_plain(plain) if plain else permissions_in_elements(xml)
-            _IN_USE[xml] = found
+            found = _of_plain(plain) if plain else _in_elements(xml, any_markup=any_markup)
+            if not found.markup:
+                _IN_USE[xml] = found
         return found
 
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
 
         UsageError for a time after the year 2261 and for a character that XML does not allow;
-        InvalidDocumentError for what crashes a stack (`crashes`).
+        InvalidDocumentError for what crashes a stack (`crashes`), and for `markup`.
         """
         return _writing.permissions_xml(self)
 
@@ -245,10 +250,20 @@ def _of_plain(text: _plain.PlainText) -> Permissions:
     return found
 
 
-def permissions_in_elements(xml: bytes) -> Permissions:
+def _in_elements(xml: bytes, *, any_markup: bool) -> Permissions:
+    try:
+        return permissions_in_elements(xml)
+    except InvalidDocumentError as error:
+        if not any_markup or not is_markup(error):
+            raise
+        found = permissions_in_elements(xml, any_markup=True)
+        return Permissions(grants=found.grants, markup=error.problems)
+
+
+def permissions_in_elements(xml: bytes, *, any_markup: bool = False) -> Permissions:
     """Like `Permissions.from_xml`, with the XML parser and the schema, for any form."""
     # The schema fixes the number and order of the children, so they are found by position.
-    [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
+    [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS, any_markup=any_markup)
     return Permissions(grants=tuple(map(_grant, grants)))
 
 

@@ -39,8 +39,13 @@ class Answer:
 
     @property
     def word(self) -> str:
-        """`yes` or `no`."""
-        return "yes" if self.decision.allowed else "no"
+        """`yes`, `no`, `crashes` or `readers differ`."""
+        return self.decision.verdict.value
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is yes or no."""
+        return self.decision.verdict.is_known
 
     @property
     def disagreement(self) -> str:
@@ -62,19 +67,20 @@ class Answer:
         place = policy_input.place(self.decision)
         return {
             "as": self.interpretation.name,
-            "allowed": self.decision.allowed,
+            "allowed": self.decision.said,
+            "answer": self.word,
             "reason": self.decision.reason,
             "file": str(place[0]) if place else None,
             "line": place[1] if place else None,
             "criteria_line": policy_input.criteria_line(self.decision),
-            "own_stack": self.own,
-            "peers": self.peers,
+            "own_stack": self.own if self.is_known else None,
+            "peers": self.peers if self.is_known else None,
             "hazard": self.hazard or None,
         }
 
     def differs(self, other: "Answer") -> bool:
-        """Whether only one of the two allows it."""
-        return self.decision.allowed is not other.decision.allowed
+        """Whether their verdicts differ."""
+        return self.decision.verdict is not other.decision.verdict
 
 
 def answer_of(
@@ -148,7 +154,7 @@ class DomainsAnswer:
         """A key: equal where the same parts of the documents decide, by each interpretation."""
         answers = tuple(
             (
-                each.decision.allowed,
+                each.decision.verdict,
                 policy_input.place(each.decision),
                 each.disagreement,
                 each.hazard,

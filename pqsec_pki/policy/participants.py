@@ -7,7 +7,7 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
-from pqsec_pki.access import SPEC, Decision, Interpretation, Question
+from pqsec_pki.access import SPEC, Decision, Interpretation, Markup, Question
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -20,7 +20,7 @@ from pqsec_pki.credentials import (
     subject_problems,
     verify_credentials,
 )
-from pqsec_pki.documents import DomainRule, Governance, Permissions, TopicRule
+from pqsec_pki.documents import DomainRule, Governance, Kind, Permissions, TopicRule
 from pqsec_pki.errors import VerificationError, located
 from pqsec_pki.keystore import Keystore, public_files, regular_name
 from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
@@ -50,7 +50,10 @@ class PolicyInput:
     def place(self, decision: Decision) -> tuple[Path, int] | None:
         """The file and line of the rule that decided."""
         part = decision.decided_by
-        source = self.governance if isinstance(part, DomainRule | TopicRule) else self.permissions
+        governing = isinstance(part, DomainRule | TopicRule) or (
+            isinstance(part, Markup) and part.document is Kind.GOVERNANCE
+        )
+        source = self.governance if governing else self.permissions
         line = source.line(part.line) if part else None
         return (source.path, line) if line else None
 
@@ -125,39 +128,49 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
         not_after=min(certificate.not_after, anchors.not_after),
         keys=" and ".join(each.algorithm.name for each in certificate.own_keys),
         governance=governance_in(
-            enclave_file(keystore, name, GOVERNANCE), check, files[GOVERNANCE]
+            enclave_file(keystore, name, GOVERNANCE), check, files[GOVERNANCE], any_markup=True
         ),
-        permissions=own_permissions(keystore, name, now, check, files),
+        permissions=own_permissions(keystore, name, now, check, files, any_markup=True),
     )
-    _refuse_enclave(policy_input.who, files, now)
+    _refuse_enclave(policy_input, files, now)
     return policy_input
 
 
-def _refuse_enclave(name: str, files: Mapping[str, bytes], now: datetime) -> None:
-    """VerificationError if its own stack would refuse the enclave, apart from its grants."""
+def _refuse_enclave(policy_input: PolicyInput, files: Mapping[str, bytes], now: datetime) -> None:
+    """VerificationError if its own stack would refuse the enclave, apart from its grants.
+
+    Documents with markup in values are read here as valid: `readers differ` is the answer.
+    """
+    name, answered = policy_input.who, _GRANT_PROBLEMS
+    if policy_input.governance.value.markup or policy_input.permissions.value.markup:
+        answered = answered | {Code.DOCUMENT_INVALID}
     try:
         verify_credentials(Credentials.of(name, files), now=now)
     except VerificationError as error:
-        problems = [each for each in error.problems if each.code not in _GRANT_PROBLEMS]
+        problems = [each for each in error.problems if each.code not in answered]
         if problems:
             raise VerificationError(*problems, hint=error.hint) from error
 
 
-def own_permissions(
+def own_permissions(  # noqa: PLR0913 -- what is known of it, the rarer ones by name
     keystore: Keystore,
     name: str,
     now: datetime,
     check: Check | None,
     files: Mapping[str, bytes] | None = None,
+    *,
+    any_markup: bool = False,
 ) -> Loaded[Permissions]:
-    """The permissions document of a participant."""
-    data = files[PERMISSIONS] if files else None
-    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check, data)
+    """The permissions document of a participant; `any_markup` as in `permissions_in`."""
+    path, data = enclave_file(keystore, name, PERMISSIONS), files[PERMISSIONS] if files else None
+    return permissions_in(path, now, check, data, any_markup=any_markup)
 
 
-def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
-    """The governance document of the keystore."""
-    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check)
+def shared_governance(
+    keystore: Keystore, check: Check | None, *, any_markup: bool = False
+) -> Loaded[Governance]:
+    """The governance document of the keystore; `any_markup` as in `governance_in`."""
+    return governance_in(keystore.root / ENCLAVES / GOVERNANCE, check, any_markup=any_markup)
 
 
 def own_governance(
@@ -170,5 +183,7 @@ def own_governance(
     """The governance of a participant, normally a link to the shared one."""
     path = enclave_file(keystore, name, GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
-    data = files[GOVERNANCE] if files else None
-    return shared.value if is_shared else governance_in(path, check, data).value
+    if is_shared:
+        return shared.value
+    data, any_markup = files[GOVERNANCE] if files else None, bool(shared.value.markup)
+    return governance_in(path, check, data, any_markup=any_markup).value

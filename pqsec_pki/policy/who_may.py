@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import field, replace
 from datetime import datetime
 from itertools import chain
 from operator import itemgetter
@@ -13,6 +13,7 @@ from pqsec_pki.access import (
     Action,
     DocumentOwner,
     Interpretation,
+    InterpretedPolicy,
     Placed,
     Question,
     Topics,
@@ -50,6 +51,8 @@ class WhoMay:
     """The domains of `domains` that the governance does not name."""
     until: dict[str, datetime]
     """The end of each participant's rights: of its grant, its certificate or a CA."""
+    unanswered: dict[str, str] = field(default_factory=dict)
+    """Participants that are in no row because the answer is not known -> why, with the place."""
     others: "tuple[WhoMay, ...]" = ()
     """The answers by other versions of the stack."""
 
@@ -69,11 +72,13 @@ class WhoMay:
             "participants": [member.name for member in self.fleet.members],
             "until": self.until,
             "left_out": self.fleet.refused,
+            "unanswered": self.unanswered,
             "topics": list(self.rows_as_json()),
             "unknown_topics": self.unknown,
             "others": [
                 {
                     "as": other.interpretation.name,
+                    "unanswered": other.unanswered,
                     "differs": (differing := self.differing(other)),
                     "topics": [each for each in other.rows_as_json() if each["topic"] in differing],
                 }
@@ -88,8 +93,12 @@ class WhoMay:
 
     def of(self, names: Collection[str]) -> "WhoMay":
         """Only the rows, also of the others, in which one of these participants is named."""
-        others = tuple(each.of(names) for each in self.others)
-        return replace(self, rows=_rows_of(self.rows, names), others=others)
+        return replace(
+            self,
+            rows=_rows_of(self.rows, names),
+            unanswered={name: why for name, why in self.unanswered.items() if name in names},
+            others=tuple(each.of(names) for each in self.others),
+        )
 
     def rows_as_json(self) -> Iterator[dict[str, object]]:
         """One object for each row."""
@@ -222,7 +231,22 @@ def who_may_use(  # noqa: PLR0913 -- what is asked, by name
         unknown={topic: meant(topic, named) for topic in unknown},
         ungoverned=domains_ungoverned(fleet.governance, domains) if domains else [],
         until=dict(_ends(fleet, now, interpretation)),
+        unanswered=dict(_unanswered(fleet, now, interpretation)),
     )
+
+
+def _unanswered(
+    fleet: Fleet, now: datetime, interpretation: Interpretation
+) -> Iterator[tuple[str, str]]:
+    """The participants whose documents crash the stack or are not read alike, and where."""
+    for member in fleet.members:
+        policy = InterpretedPolicy(fleet.governance, member.permissions, interpretation)
+        join = Question(subject=member.subject, domain=0, action=Action.JOIN, now=now)
+        if decision := policy.unanswered(join):
+            known = fleet.inputs.get(member.name)
+            place = known.place(decision) if known else None
+            where = f" ({place[0]}:{place[1]})" if place else ""
+            yield member.name, f"{decision.verdict}: {decision.reason}{where}"
 
 
 def who_may_by_each(  # noqa: PLR0913 -- what is asked, by name

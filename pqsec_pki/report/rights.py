@@ -47,7 +47,7 @@ def rights_of(fleet: Fleet, root: Path, now: datetime) -> RightsSection:
         rows=tuple(sorted(rows, key=lambda each: (each.label, each.domains))),
         every=tuple(_every(answer)),
         topics=tuple(dict.fromkeys(each.row.topic for each in answer.rows)),
-        refused=fleet.refused,
+        refused={**fleet.refused, **answer.unanswered},
         until=answer.until,
     )
 

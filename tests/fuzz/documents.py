@@ -302,7 +302,7 @@ class Spelling:
     def _value(self, element):
         text = element.text
         if element.tag in {"topic", "topic_expression", "partition", "subject_name"}:
-            if self._now("inner spaces"):
+            if text and self._now("inner spaces"):
                 text = text[:1] + self._rng.choice(_SPACES) + text[1:]
             padded = self._now("padded names")
         else:

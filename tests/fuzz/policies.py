@@ -4,29 +4,29 @@ A file is a list, as libcrypto.py writes one: the governance, the permissions, a
 asked about them, as stacks.py takes it.
 """
 
+import atexit
 import re
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime, timedelta
-from functools import lru_cache
+from functools import cache, lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from pqsec_pki.access import CYCLONEDDS, CYCLONEDDS_11, FASTDDS, Viewpoint
 from pqsec_pki.access.deciding import InterpretedPolicy
+from pqsec_pki.access.decision import Verdict
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.documents import (
     DomainSet,
     Governance,
     Permissions,
-    governance_crashes,
-    grant_crashes,
 )
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from tests.fuzz import documents, libcrypto, spoiling, stacks
 
-QUESTIONS = 30
+QUESTIONS = 50
 YEAR = timedelta(days=365)
 
 
@@ -61,11 +61,12 @@ class Lab:
     """A keystore with a participant, which signs documents."""
 
     def __init__(self):
-        self._folder = TemporaryDirectory()
+        folder = TemporaryDirectory()
+        atexit.register(folder.cleanup)
         now, domains = datetime.now(UTC), DomainSet.of(0)
         profile = profile_named("classical")
         options = {"domains": domains, "validity": YEAR, "now": now}
-        root = Path(self._folder.name, "k")
+        root = Path(folder.name, "k")
         keystore = Keystore.create(root, profile, name="Lab", passphrase=None, **options)
         self._authorities, self._now = keystore.unlock(None), now
         name = documents.SUBJECT.removeprefix("CN=")
@@ -80,11 +81,17 @@ class Lab:
         return libcrypto.pack([*signed, *rest])
 
 
+@cache
+def lab():
+    """One for all kinds."""
+    return Lab()
+
+
 class Decisions:
     """Files of one kind."""
 
     def __init__(self, make):
-        self._make, self._lab = make, Lab()
+        self._make, self._lab = make, lab()
         self._signed = lru_cache(maxsize=1024)(self._lab.question)
         self._readings = (CYCLONEDDS, CYCLONEDDS_11, FASTDDS)
 
@@ -109,9 +116,9 @@ class Decisions:
         return peer.ask([self._signed(each) for each in files])
 
     def read(self, data):
-        """Each reading with what it answers, as stacks.py does; none if pqsec refuses a document.
+        """Each reading with its letters, as in stacks.py, and `c` where it says that it crashes.
 
-        The answer is None where the documents crash the stack.
+        PqsecError if a document is refused.
         """
         governance, permissions, domain, *asked = libcrypto.unpacked(data)
         pair = Governance.from_xml(governance), Permissions.from_xml(permissions)
@@ -130,17 +137,21 @@ class Decisions:
         for peer, (said, theirs) in zip(peers, answers, strict=True):
             own = known.get(peer.stack.reading)
             if own is None:
-                continue  # pqsec refuses it, or says that it crashes
+                continue  # pqsec refuses it
             if said == b"crash":
-                yield f"{peer.stack.name}: pqsec takes what ends it by {theirs.decode()}"
+                if CRASH not in own:
+                    yield f"{peer.stack.name}: ends by {theirs.decode()}, and pqsec has answers"
+                if _is_signed(data):
+                    yield f"{peer.stack.name}: pqsec signs what ends it by {theirs.decode()}"
                 continue
             pairs = {each for each in zip(own, theirs.decode(), strict=True) if each[1] != "-"}
             for mine, other in sorted(pairs):
-                if mine != other and not (said and _explained(peer.stack.kind, data)):
+                if mine not in {other, CRASH} and not (said and _explained(peer.stack.kind, data)):
                     reason = f": {said.decode()}" if said else ""
                     yield f"{peer.stack.name}: {WORDS[other]}, pqsec {WORDS[mine]}{reason}"
 
 
+CRASH = "c"
 WORDS = {"y": "yes", "n": "no"}
 UNREADABLE = (
     ("cyclonedds", rb"\A(\xef\xbb\xbf|\xff\xfe|\xfe\xff)"),  # a byte order mark
@@ -162,14 +173,24 @@ def _explained(kind, data):
     )
 
 
+def _is_signed(data):
+    """Whether pqsec signs both documents."""
+    governance, permissions = libcrypto.unpacked(data)[:2]
+    try:
+        Governance.from_xml(governance).to_xml()
+        Permissions.from_xml(permissions).to_xml()
+    except PqsecError:
+        return False
+    return True
+
+
+LETTERS = {Verdict.YES: "y", Verdict.NO: "n", Verdict.CRASHES: CRASH}
+
+
 def _letters(reading, pair, questions):
-    governance, permissions = pair
-    crashes = *governance_crashes(governance.domain_rules), *grant_crashes(permissions.grants)
-    if any(each.shape.crashes(reading.stack, reading.version) for each in crashes):
-        return None
     policy = InterpretedPolicy(*pair, reading)
     return "".join(
-        "y" if policy.decide(question, by=side).allowed else "n"
+        LETTERS[policy.decide(question, by=side).verdict]
         for question in questions
         for side in Viewpoint
     )

@@ -14,7 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from ctypes import POINTER, byref, c_char_p, c_int32, c_size_t, c_void_p
 from pathlib import Path
-from typing import NamedTuple, Protocol
+from typing import IO, NamedTuple, Protocol
 
 from pqsec_pki.handshake import ByteOrder, DataHolder
 from pqsec_pki.trial import Installation, find
@@ -22,7 +22,7 @@ from pqsec_pki.vendors.fastdds_adapter import FASTDDS_SOURCES
 from tests.interop.cyclone import Token
 from tests.interop.kept import contents, kept
 
-__all__ = ["Answer", "EndedError", "FastDdsShim", "build", "find_compiler", "process", "program"]
+__all__ = ["Answer", "FastDdsShim", "build", "find_compiler", "process", "program"]
 
 _SHIM, _PROCESS = (Path(__file__).with_name(f"fastdds_{name}.cpp") for name in ("shim", "process"))
 _HEADER = Path("/usr/include/fastdds/rtps/security/authentication/Authentication.h")
@@ -100,22 +100,11 @@ class _Library(FastDdsShim):
         return Answer(answer.code, answer.handle, _plain(words), octets)
 
 
-class EndedError(AssertionError):
-    """The process of Fast DDS has ended."""
-
-    def __init__(self, code: int) -> None:
-        super().__init__(f"the process of Fast DDS has ended with {code}")
-        self.code = code
-        """Its exit code, or the signal that ended it, negative."""
-
-
 class _Process(FastDdsShim):
-    """The shim in a process."""
+    """The shim in a process, which has these pipes."""
 
-    def __init__(self, running: subprocess.Popen[bytes]) -> None:
-        assert running.stdin
-        assert running.stdout
-        self._running, self._questions, self._answers = running, running.stdin, running.stdout
+    def __init__(self, questions: IO[bytes], answers: IO[bytes]) -> None:
+        self._questions, self._answers = questions, answers
 
     def new(self, properties: Mapping[str, str]) -> int:
         made = self._ask("new", *(text for pair in properties.items() for text in pair))
@@ -141,8 +130,7 @@ class _Process(FastDdsShim):
 
     def _number(self) -> int:
         data = self._answers.read(4)
-        if not data:
-            raise EndedError(self._running.wait())
+        assert data, "the process of Fast DDS has ended"
         return struct.unpack("=I", data)[0]
 
 
@@ -191,4 +179,6 @@ def process(command: Sequence[str], environment: Mapping[str, str]) -> Iterator[
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
     ) as running:
-        yield _Process(running)
+        assert running.stdin
+        assert running.stdout
+        yield _Process(running.stdin, running.stdout)

@@ -752,7 +752,6 @@ def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
             (governance(domains=DomainSet(parts=(0, DomainRange(first=3, last=1)))), grant()),
             "empty",
         ),
-        ((governance(topics("")), grant()), "empty topic"),
     ],
 )
 def test_cyclone_dds_reads_nothing_of_some_documents(documents, words):

@@ -45,7 +45,8 @@ def open_range(document: Document) -> Iterator[Violation]:
 
 @lint_rule(
     "PQS232", ERROR, "a range of domains without a start",
-    why="Cyclone DDS does not read it as all domains up to <max>.",
+    why="Permissions with it crash Cyclone DDS, also that of peers. Cyclone DDS refuses governance"
+    " with it.",
     fix="Add <min>0</min>.",
     stacks=CYCLONE, rows=("id_range with only `<max>`",),
     bad="""
@@ -62,7 +63,7 @@ def open_range(document: Document) -> Iterator[Violation]:
 def range_without_start(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
         if node.child("max") and not node.child("min"):
-            yield document.at(node, "the range has no <min>: Cyclone DDS finds no domain in it")
+            yield document.at(node, "the range has no <min>, which crashes Cyclone DDS")
 
 
 @lint_rule(
