@@ -73,6 +73,7 @@ def test_a_list_of_version_1_is_read_whatever_strings_its_issuer_has():
     parts = [ECDSA, common("*.lab", PRINTABLE), encode(time_of(START))]
     found = RevocationList.from_der(signed(sequence_of(parts), "ca"))
     assert (found.revoked, found.next_update) == ((), None)
+    assert list(found.validity_problems(START)) == []
 
 
 # What pqsec alone refuses (docs/explanation/adr/0043)
