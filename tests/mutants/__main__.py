@@ -45,6 +45,7 @@ TESTS = {
         "certificates",
         "chains",
         "short_der",
+        "limits",
         "requests",
         "revocation_lists",
         "der_cutting",

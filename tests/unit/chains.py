@@ -172,6 +172,8 @@ def _names():
         yield Case(f"{words} of a list", accepted, ca(), leaf(), crl(issuer=issuer))
         revoking = crl(issuer=issuer, entries=[entry()])
         yield Case(f"{words} of a list that revokes", BAD, ca(), leaf(), revoking)
+    other = certificate(CA_NAME, LEAF_NAME, "ca", [IS_CA])
+    yield Case("a CA that names another as its issuer", BAD, other, leaf())
     yield Case("the CA's own name", BAD, ca(), leaf(subject=CA_NAME))
     yield Case("the CA's own name, capitals", BAD, ca(), leaf(subject=common("IDENTITY CA")))
     for text in ("identity_ca", "*.lab", "ca@lab"):
@@ -281,6 +283,10 @@ def _partitions(a, b, some):
     twice = [x509.DistributionPoint(url, None, each, None) for each in (some, None)]
     yield "of its partition, twice, first for some", BAD, x509.CRLDistributionPoints(twice), of_a
     yield "of it, last for some", GOOD, x509.CRLDistributionPoints(twice[::-1]), of_a
+    mixed = [*url, ours]
+    for words, of_leaf, of_list in (("first", mixed, [ours]), ("last", [ours], mixed)):
+        named = x509.CRLDistributionPoints([x509.DistributionPoint(of_leaf, None, None, None)])
+        yield f"of a directory and an address, {words}", GOOD, named, issuing(full_name=of_list)
     for text, accepted in (("IDENTITY ca", GOOD), ("other", BAD)):
         named = x509.DistributionPoint([x509_name(common(text))], None, None, None)
         point = issuing(full_name=[ours])

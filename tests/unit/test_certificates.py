@@ -11,12 +11,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
     BitString,
+    DirectoryAttributes,
     Extension,
     Oid,
     Signed,
     TBSCertificate,
     Validity,
     algorithm,
+    attribute,
     bits,
     decode,
     encode,
@@ -32,6 +34,11 @@ from pqsec_pki.certificates import (
     verify_chain,
 )
 from pqsec_pki.certificates._names import name_line, name_text
+from pqsec_pki.certificates._sequence import (
+    MAX_SEQUENCE_NUMBER,
+    SEQUENCE_NUMBER,
+    read_sequence_number,
+)
 from pqsec_pki.certificates.authority import LAST_YEAR, cut, key_identifier
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
@@ -194,6 +201,21 @@ def test_a_value_that_openssl_does_not_know_is_told_in_octets(oid, value, tag, t
 def test_a_name_that_was_not_read_is_told_like_one_that_was():
     made = x509.Name([x509.NameAttribute(Oid("1.2.3.4"), "ab")])
     assert (name_text(made), name_line(made)) == ("1.2.3.4=#0C026162", "/1.2.3.4=ab")
+
+
+@pytest.mark.parametrize("number", [1, MAX_SEQUENCE_NUMBER])
+def test_a_sequence_number_is_that_of_a_ledger_line(number):
+    assert read_sequence_number(encode(number)) == number
+    outside = number - 1 if number == 1 else number + 1
+    with pytest.raises(MalformedError, match="not the number of a ledger line"):
+        read_sequence_number(encode(outside))
+
+
+def test_another_attribute_in_the_place_of_the_sequence_number_is_none():
+    for oid, number in ((SEQUENCE_NUMBER.dotted_string, 7), ("1.2.3.4", None)):
+        value = encode(DirectoryAttributes(attribute=attribute(oid, encode(7))))
+        made = chains.leaf(chains.extension(value, oid="2.5.29.9"))
+        assert Certificate.from_der(made).number == number
 
 
 def test_a_certificate_says_who_it_is_for(ca):

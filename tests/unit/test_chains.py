@@ -75,6 +75,7 @@ def test_a_list_of_version_1_is_read_whatever_strings_its_issuer_has():
     parts = [ECDSA, common("*.lab", PRINTABLE), encode(time_of(START))]
     found = RevocationList.from_der(signed(sequence_of(parts), "ca"))
     assert (found.revoked, found.next_update) == ((), None)
+    assert list(found.validity_problems(START)) == []
 
 
 @pytest.mark.parametrize("depth", [3, 30, 5000])
