@@ -101,7 +101,7 @@ HABITS = (
           ("partitions_met", *_USE)),
     Habit(FAST, "a deny_rule applies to all partitions", "PQS256", ("partitions_met", *_USE)),
     Habit(FAST, "data tags are ignored", "PQS260", ("tags_met",)),
-    Habit(FAST, "an empty topic_expression crashes 2.9 and 3.1; permissions with an empty topic are refused",
+    Habit(FAST, "an empty topic_expression crashes 2.9 and 3.1, an empty topic is refused",
           "PQS218", ("flaw",)),
     Habit(FAST, "the default never permits joining: it needs an allow_rule",
           "PQS252 PQS274",
