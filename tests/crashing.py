@@ -76,5 +76,5 @@ CRASHING = {
     "a topic of white space": _permissions(7, b">rt/chatter<", b"> \t <"),
     "a topic of escaped white space": _permissions(7, b">rt/chatter<", b">&#9;&#32;&#13;&#10;<"),
     "an empty expression": _governance(b"><"),
-    "an expression of white space": _governance(b">&#10; <"),
+    "an expression of white space": _governance(b"> \n <"),
 }

@@ -146,7 +146,7 @@ def crashes(found: Crash, title: str) -> Decision:
     """The answer of the stack that `title` names."""
     return Decision(
         verdict=Verdict.CRASHES,
-        reason=f"{found.shape.what} ends the process of {title}; {found.shape.fix}",
+        reason=f"{found.shape.what} crashes {title}; {found.shape.fix}",
         decided_by=found.part,
         criteria=found.criteria,
     )
@@ -156,6 +156,6 @@ def readers_differ(document: Kind, markup: Problem) -> Decision:
     """The answer of every stack, about documents that are not read alike."""
     return Decision(
         verdict=Verdict.READERS_DIFFER,
-        reason=f"<{markup.element}>: {markup.message.removeprefix('readers differ: ')}",
+        reason=f"<{markup.element}>: {markup.message}",
         decided_by=Markup(document, markup.line),
     )

@@ -218,7 +218,7 @@ def _unanswered(
             known = fleet.inputs.get(member.name)
             place = known.place(decision) if known else None
             where = f" ({place[0]}:{place[1]})" if place else ""
-            yield member.name, f"{decision.verdict}: {decision.reason}{where}"
+            yield member.name, decision.reason + where
 
 
 def who_may_by_each(

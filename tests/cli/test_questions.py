@@ -28,6 +28,7 @@ from pqsec_pki.keystore import Keystore, load_certificate
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.smime import Signer, sign
 from tests.cli.conftest import command_of
+from tests.crashing import CRASHING, GOVERNANCE, PERMISSIONS
 
 NOW = datetime.now(UTC)
 ZERO = DomainSet.of(0)
@@ -1249,3 +1250,105 @@ def test_a_topic_that_is_too_long_for_rtps_is_named(pqsec):
     asked = pqsec(f"-k k explain /a --publish {long}")
     asked.refused(2, "longer than 256 characters", hint="RTPS allows no longer topic")
     assert "a name is longer" not in pqsec("-k k report -o report.html").done().err
+
+
+# What is neither yes nor no
+
+
+@pytest.fixture
+def crashing(tmp_path):
+    """put(case) writes g.xml and p.xml, one of which crashes stacks, and returns its case."""
+
+    def put(case):
+        found = CRASHING[case]
+        documents = {Governance: GOVERNANCE, Permissions: PERMISSIONS} | {found.kind: found.xml}
+        (tmp_path / "g.xml").write_bytes(documents[Governance])
+        (tmp_path / "p.xml").write_bytes(documents[Permissions])
+        return found
+
+    return put
+
+
+@pytest.mark.parametrize("case", ["a range without min", "an empty topic", "an empty expression"])
+def test_what_crashes_a_stack_is_neither_yes_nor_no(pqsec, keystore, crashing, case):
+    found = crashing(case)
+    keystore()
+    file, kind = ("g.xml", "governance") if found.kind is Governance else ("p.xml", "permissions")
+    pqsec(f"-k k sign-{kind} {file} -o new.p7s").refused(1, f"{file}: line {found.line}", "crashes")
+    for stack in ("cyclonedds", "cyclonedds@11.0"):
+        said = pqsec(f"{FILES} --publish rt/chatter --as {stack}")
+        assert said.code == 1
+        assert said.out.startswith("CRASHES  CN=/lab/alice")
+        assert re.search(rf"{file}:(\d+ \(its topics from line )?{found.line}\b", said.out)
+    json = pqsec(f"{FILES} --publish rt/chatter --as cyclonedds --json").json
+    assert (json["allowed"], json["answer"]) == (None, "crashes")
+    assert (json["own_stack"], json["peers"], json["until"]) == (None, None, None)
+    assert [each["answer"] for each in json["others"]] == ["crashes"]
+    who = pqsec("who-may g.xml p.xml --as cyclonedds --json").done()
+    assert file in who.json["unanswered"]["CN=/lab/alice"]
+    assert "no answer by Cyclone DDS 0.10.2 for CN=/lab/alice" in who.err
+    assert pqsec("who-may g.xml p.xml --json").json["unanswered"] == {}
+
+
+def test_a_right_of_several_topics_is_not_known_if_one_is_not(pqsec, crashing):
+    crashing("an empty topic")
+    json = pqsec(f"{FILES} --ros-service /reset --as cyclonedds --json")
+    assert (json.code, json.json["allowed"], json.json["answer"]) == (1, None, "crashes")
+    said = pqsec(f"{FILES} --ros-service /reset --as cyclonedds").out
+    assert said.startswith("CRASHES")
+
+
+@pytest.mark.parametrize("spoiled", ["permissions", "governance"])
+def test_readers_differ_is_the_answer_about_a_keystore_with_markup_in_a_value(
+    pqsec, keystore, tmp_path, spoiled
+):
+    """As other tools sign it; pqsec neither signs nor installs it."""
+    keystore(profile="classical")
+    ca = load_private_key((tmp_path / "k/private/permissions_ca.key.pem").read_bytes())
+    certificate = load_certificate(tmp_path / "k/public/permissions_ca.cert.pem")
+    enclaves = tmp_path / "k/enclaves"
+    name, old = (
+        ("talker/permissions", b">rt/chatter<")
+        if spoiled == "permissions"
+        else ("governance", b">*<")
+    )
+    xml = (enclaves / f"{name}.xml").read_bytes()
+    marked = xml.replace(old, old[:-1] + b"<!-- x -->_x<", 1)
+    (enclaves / f"{name}.p7s").write_bytes(sign(marked, Signer(certificate, ca), now=NOW))
+    for stack in ("", " --as fastdds", " --as cyclonedds"):
+        said = pqsec(f"-k k explain /talker --publish rt/chatter{stack}")
+        assert (said.code, said.out.splitlines()[0][:23]) == (1, "READERS DIFFER  /talker")
+        assert re.search(rf"/{name}.p7s:\d+\n", said.out)
+    json = pqsec("-k k explain /talker --publish rt/chatter --json").json
+    assert (json["allowed"], json["answer"]) == (None, "readers differ")
+    text = (enclaves / f"{name}.p7s").read_bytes()
+    assert json["line"] == text[: text.index(b"<!-- x")].count(b"\n") + 1
+
+
+def test_readers_differ_is_said_of_files_with_their_line(pqsec, crashing, tmp_path):
+    crashing("a range without min")
+    marked = PERMISSIONS.replace(b">rt/p<", b">rt/p<!-- x --><")
+    (tmp_path / "p.xml").write_bytes(marked)
+    said = pqsec(f"{FILES} --publish rt/chatter")
+    assert (said.code, said.out[:14]) == (1, "READERS DIFFER")
+    assert "p.xml:7" in said.out
+    assert "p.xml:7" in pqsec("who-may g.xml p.xml --json").json["unanswered"]["CN=/lab/alice"]
+    (tmp_path / "old.xml").write_bytes(PERMISSIONS)
+    pqsec("diff old.xml p.xml").refused(1, "p.xml: line 7", "readers differ")
+    pqsec("diff p.xml old.xml").refused(1, "p.xml: line 7", "readers differ")
+
+
+def test_a_handshake_fails_where_the_permissions_crash_a_stack(pqsec, keystore, tmp_path):
+    keystore(profile="classical")
+    ca = load_private_key((tmp_path / "k/private/permissions_ca.key.pem").read_bytes())
+    certificate = load_certificate(tmp_path / "k/public/permissions_ca.cert.pem")
+    talker = tmp_path / "k/enclaves/talker"
+    xml = (talker / "permissions.xml").read_bytes()
+    crashing = xml.replace(b"<id>0</id>", b"<id_range><max>3</max></id_range>")
+    assert crashing != xml
+    (talker / "permissions.p7s").write_bytes(sign(crashing, Signer(certificate, ca), now=NOW))
+    pqsec("-k k verify-handshake /talker /listener --as fastdds --as fastdds").done()
+    for stacks in ("cyclonedds --as pqsec", "pqsec --as cyclonedds"):  # its own, and its peer's
+        failed = pqsec(f"-k k verify-handshake /talker /listener --as {stacks}")
+        assert failed.code == 1
+        assert "crashes Cyclone DDS" in failed.out
