@@ -155,7 +155,7 @@ CRASH = "c"
 WORDS = {"y": "yes", "n": "no"}
 UNREADABLE = (
     ("cyclonedds", rb"\A(\xef\xbb\xbf|\xff\xfe|\xfe\xff)"),  # a byte order mark
-    ("cyclonedds", rb"xsi:schemaLocation=|xmlns:(?!xsi=)"),
+    ("cyclonedds", rb"xsi:schemaLocation=|xmlns(?!:xsi)[:=]"),
     ("cyclonedds", rb"</\w+\s+>"),
     ("fastdds", rb"<\?(?!xml\s)"),  # a processing instruction
     ("fastdds", rb"-->\s*</dds\s*>"),
