@@ -86,7 +86,8 @@ def no_flaw(_governance: Governance, _permissions: Permissions) -> str:
 
 
 def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
-    """It refuses domains above 230, and in governance ranges without domains (measured)."""
+    """It refuses domains above 230, in governance ranges without domains, and grants without a
+    subject (measured)."""
     governed = [rule.domains for rule in governance.domain_rules]
     for domains in [*governed, *(rule.domains for rule in _rules(permissions))]:
         for part in _ranges(domains):
@@ -97,6 +98,8 @@ def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
             return "Cyclone DDS refuses governance with an empty range of domains"
         if part.no_min:
             return "Cyclone DDS refuses governance with a range of domains without <min>"
+    if not all(grant.subject_name for grant in permissions.grants):
+        return "Cyclone DDS refuses permissions with an empty subject_name"
     return ""
 
 

@@ -1510,3 +1510,19 @@ def test_readers_differ_is_said_of_files_with_their_line(pqsec, crashing, tmp_pa
     (tmp_path / "old.xml").write_bytes(PERMISSIONS)
     pqsec("diff old.xml p.xml").refused(1, "p.xml: line 7", "readers differ")
     pqsec("diff p.xml old.xml").refused(1, "p.xml: line 7", "readers differ")
+
+
+def test_a_handshake_fails_where_the_permissions_crash_a_stack(pqsec, keystore, tmp_path):
+    keystore(profile="classical")
+    ca = load_private_key((tmp_path / "k/private/permissions_ca.key.pem").read_bytes())
+    certificate = load_certificate(tmp_path / "k/public/permissions_ca.cert.pem")
+    talker = tmp_path / "k/enclaves/talker"
+    xml = (talker / "permissions.xml").read_bytes()
+    crashing = xml.replace(b"<id>0</id>", b"<id_range><max>3</max></id_range>")
+    assert crashing != xml
+    (talker / "permissions.p7s").write_bytes(sign(crashing, Signer(certificate, ca), now=NOW))
+    pqsec("-k k verify-handshake /talker /listener --as fastdds --as fastdds").done()
+    for stacks in ("cyclonedds --as pqsec", "pqsec --as cyclonedds"):  # its own, and its peer's
+        failed = pqsec(f"-k k verify-handshake /talker /listener --as {stacks}")
+        assert failed.code == 1
+        assert "crashes Cyclone DDS" in failed.out

@@ -155,11 +155,11 @@ CRASH = "c"
 WORDS = {"y": "yes", "n": "no"}
 UNREADABLE = (
     ("cyclonedds", rb"\A(\xef\xbb\xbf|\xff\xfe|\xfe\xff)"),  # a byte order mark
-    ("cyclonedds", rb"xsi:schemaLocation=|xmlns:(?!xsi=)"),
+    ("cyclonedds", rb"xsi:schemaLocation=|xmlns(?!:xsi)[:=]"),
     ("cyclonedds", rb"</\w+\s+>"),
     ("fastdds", rb"<\?(?!xml\s)"),  # a processing instruction
     ("fastdds", rb"-->\s*</dds\s*>"),
-    ("fastdds", rb"<(enable|allow)_\w+\s*>(\s+\w+\s*|\w+\s+)<"),  # spaces around a boolean
+    ("fastdds", rb"<(enable|allow)_[^<>]*>(\s[^<]*|[^<]*\s)<"),  # spaces around a boolean
 )
 """What a stack refuses in documents that match their schemas: "How a document is written" in
 docs/reference/decisions.md."""

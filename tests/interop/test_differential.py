@@ -49,7 +49,7 @@ def some_stack(plugins, fastdds):
     """Those that are always there; others take part if they are there."""
 
 
-@pytest.mark.slow(but=4)
+@pytest.mark.slow(but=2)
 @pytest.mark.interop
 @pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
 @pytest.mark.parametrize("name", ["policies", "documents"])

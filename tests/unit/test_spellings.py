@@ -113,6 +113,12 @@ def test_cyclone_dds_refuses_governance_with_a_range_without_start():
     assert allowing(permissions(), governance) == {SPEC, FASTDDS, OPENDDS}
 
 
+@pytest.mark.parametrize("subject", ["", " \n"])
+def test_cyclone_dds_refuses_permissions_of_which_a_grant_has_no_subject(subject):
+    grants = *permissions().grants, *permissions(subject).grants
+    assert allowing(Permissions(grants=grants)) == EVERY - CYCLONES
+
+
 def test_a_grant_that_was_changed_is_no_longer_spelled_as_in_its_document():
     [grant] = permissions("\nCN=/a", end="2026-06-01T15:00:00+02:00").grants
     assert grant.written.subject_name == "\nCN=/a"
