@@ -667,6 +667,12 @@ def test_a_grant_in_force(times, wanted):
     assert names_of(said) == wanted.split()
 
 
+def test_opendds_allows_one_default_partition_and_not_two():
+    for partitions, allowed in (((), True), (("",), True), (("", ""), False)):
+        found = ask(*RULES, interpretation=OPENDDS, partitions=partitions)
+        assert found.allowed == allowed
+
+
 def test_a_grant_that_starts_now_has_not_ended_for_cyclone():
     late = Permissions(grants=(grant(*RULES, start=NOW),))
     denied = decide(governance(), late, question(), CYCLONEDDS)
