@@ -333,7 +333,11 @@ def test_what_governance_opens_is_closed_to_those_who_may_not_join():
     assert ask(governed=governance(topics("a", write=False), join=False)).allowed
     closed = governance().domain_rules[0]
     [last] = closed.topic_rules[-1:]
-    for rules, allowed in (((last,), False), ((topics("a", write=False), last), True)):
+    for rules, allowed in (
+        ((last,), False),
+        ((topics("a", write=False), last), True),
+        ((topics("a", read=False), last), True),
+    ):
         governed = Governance(domain_rules=(replace(closed, topic_rules=rules),))
         assert ask(governed=governed, action=JOIN, by=Viewpoint.OWN).allowed == allowed
 
@@ -661,6 +665,18 @@ def test_a_grant_in_force(times, wanted):
         if decide(governance(), permissions, question(), each).allowed
     ]
     assert names_of(said) == wanted.split()
+
+
+def test_opendds_allows_one_default_partition_and_not_two():
+    for partitions, allowed in (((), True), (("",), True), (("", ""), False)):
+        found = ask(*RULES, interpretation=OPENDDS, partitions=partitions)
+        assert found.allowed == allowed
+
+
+def test_a_grant_that_starts_now_has_not_ended_for_cyclone():
+    late = Permissions(grants=(grant(*RULES, start=NOW),))
+    denied = decide(governance(), late, question(), CYCLONEDDS)
+    assert denied.reason.startswith("grant 'g' starts at")
 
 
 def test_a_grant_for_ever_is_over_for_cyclone_dds():
