@@ -108,7 +108,7 @@ def fork() -> int:
         time.sleep(0.001)
     residents[0] = max(residents[0], threads())
     with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".* is multi-threaded", DeprecationWarning)  # by residents
+        warnings.filterwarnings("ignore", ".* is multi-threaded", DeprecationWarning)
         child = os.fork()
     if child == 0:
         signal.alarm(300)
