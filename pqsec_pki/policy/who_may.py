@@ -267,13 +267,13 @@ def who_may_by_each(  # noqa: PLR0913 -- what is asked, by name
         who_may_use(
             fleet, topics, domains=domains, partitions=partitions, now=now, interpretation=each
         )
-        for each in (*versions, *(locales if _is_wide(fleet, (*topics, *partitions)) else ()))
+        for each in (*versions, *(locales if _has_non_ascii(fleet, (*topics, *partitions)) else ()))
     )
     kept = [each for each in others if not each.interpretation.locale or found.differing(each)]
     return replace(found, others=tuple(kept))
 
 
-def _is_wide(fleet: Fleet, asked: Iterable[str]) -> bool:
+def _has_non_ascii(fleet: Fleet, asked: Iterable[str]) -> bool:
     """Whether a name or pattern is not ASCII: else a locale decides nothing about these names."""
     rules = (rule for each in fleet.members for g in each.permissions.grants for rule in g.rules)
     criteria = (each for rule in rules for each in (*rule.publish, *rule.subscribe))
