@@ -47,7 +47,7 @@ def spoiled(xml: bytes, *replacements: bytes) -> bytes:
 
 @dataclass(frozen=True)
 class Crashing:
-    """A document, where it crashes, and whom."""
+    """A document that crashes stacks, and the place."""
 
     kind: type[Governance] | type[Permissions]
     xml: bytes

@@ -18,7 +18,7 @@ from pqsec_pki.access._patterns import SPECIAL
 from pqsec_pki.access.question import MAX_NAME
 
 _CACHED = 1 << 12
-_NARROW = "\u00a0\u2007\u202f"
+_NO_BREAK = "\u00a0\u2007\u202f"
 """Spaces at which no line may break: glibc counts them as printed."""
 _SEPARATORS = frozenset({"Zs", "Zl", "Zp"})
 
@@ -119,7 +119,7 @@ def _is_in(character: str, member: Member) -> bool:
         return member[0] <= character <= member[1]
     if character.isascii():
         return character in CLASSES[member]
-    return _WIDE[member](character)
+    return _BEYOND_ASCII[member](character)
 
 
 def _is_word(character: str) -> bool:
@@ -131,7 +131,7 @@ def _is_printed(character: str) -> bool:
 
 
 def _is_space(character: str) -> bool:
-    return unicodedata.category(character) in _SEPARATORS and character not in _NARROW
+    return unicodedata.category(character) in _SEPARATORS and character not in _NO_BREAK
 
 
 def _is_case(character: str, has_case: Callable[[str], bool]) -> bool:
@@ -142,7 +142,7 @@ def _is_graph(character: str) -> bool:
     return _is_printed(character) and not _is_space(character)
 
 
-_WIDE: Mapping[str, Callable[[str], bool]] = {
+_BEYOND_ASCII: Mapping[str, Callable[[str], bool]] = {
     "alnum": _is_word,
     "alpha": _is_word,
     "blank": lambda character: _is_space(character) and unicodedata.category(character) == "Zs",

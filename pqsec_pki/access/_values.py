@@ -17,7 +17,7 @@ from pqsec_pki.documents import (
     Grant,
     PermissionRule,
     Permissions,
-    is_empty,
+    is_blank,
 )
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -106,7 +106,7 @@ def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
 def fastdds_flaw(_governance: Governance, permissions: Permissions) -> str:
     """It refuses permissions with an empty topic, also one to relay (measured)."""
     topics = (topic for criteria in _criteria(permissions) for topic in criteria.topics)
-    return "Fast DDS refuses permissions with an empty topic" if any(map(is_empty, topics)) else ""
+    return "Fast DDS refuses permissions with an empty topic" if any(map(is_blank, topics)) else ""
 
 
 def opendds_flaw(governance: Governance, permissions: Permissions) -> str:

@@ -129,7 +129,7 @@ class Decision:
         return self.verdict is Verdict.YES
 
     @property
-    def said(self) -> bool | None:
+    def yes_or_no(self) -> bool | None:
         """Yes or no; None if the verdict is neither."""
         return self.allowed if self.verdict.is_known else None
 

@@ -118,23 +118,35 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     sets: dict[tuple[int, ...], DomainSet] = {}
     for where in {where for rows in (*found.values(), nobody) for where in rows.values()}:
         sets[where] = domain_set([apart[number] for number in where])
-    asked_in = tuple(Topics(name=each, extent=Extent.ONE) for each in partitions)
-    said: dict[frozenset[str], tuple[Topics, ...]] = {frozenset(): asked_in}
-    rows = list[Placed]()
-    for topic, placed in found.items():
-        for (who, names), where in (placed or nobody).items():
-            if names not in said and beyond:
-                said[names] = beyond.described(names)
-            row = TopicRow(
+    described = _described(found, partitions, beyond)
+    rows = tuple(
+        Placed(
+            row=TopicRow(
                 topic=topic,
                 asked=asked[topic],
                 publishers=who[0],
                 subscribers=who[1],
-                partitions=said[names],
+                partitions=described[names],
                 asked_in=(min(names),) if names else partitions,
-            )
-            rows.append(Placed(row=row, domains=sets[where]))
-    return PlacedRows(tuple(rows), complete=beyond is None or beyond.complete)
+            ),
+            domains=sets[where],
+        )
+        for topic, placed in found.items()
+        for (who, names), where in (placed or nobody).items()
+    )
+    return PlacedRows(rows, complete=beyond is None or beyond.complete)
+
+
+def _described(
+    found: Mapping[str, _Rows], partitions: tuple[str, ...], beyond: Partitions | None
+) -> dict[frozenset[str], tuple[Topics, ...]]:
+    """The partitions of each key; without names, those that were asked about."""
+    asked_in = tuple(Topics(name=each, extent=Extent.ONE) for each in partitions)
+    described = {frozenset[str](): asked_in}
+    if beyond:
+        named = {names for rows in found.values() for _, names in rows if names}
+        described |= {names: beyond.described(names) for names in named}
+    return described
 
 
 def _rows_of(

@@ -20,9 +20,9 @@ from pqsec_pki.lint import (
     Suppression,
     from_option,
     rule_named,
+    stacks_text,
     to_code_quality,
     to_sarif,
-    words,
 )
 from pqsec_pki.lint import check as check_all
 from pqsec_pki.stacks import Stack
@@ -130,7 +130,9 @@ def check(  # noqa: PLR0913 -- one for each option
             report.to_json(strict=strict),
             [*report_lines(report), *_more(report)],
             columns=_COLUMNS,
-            items=(each.to_json() | {"stacks": words(each.stacks)} for each in report.findings),
+            items=(
+                each.to_json() | {"stacks": stacks_text(each.stacks)} for each in report.findings
+            ),
         )
     if code := _exit_code(report, strict=strict):
         click.get_current_context().exit(code)
@@ -211,7 +213,7 @@ def _explain(rule: Rule) -> None:
     lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
     lines += ["Found here:", "", *_indented(rule.bad), "", f"To fix it: {rule.fix}", ""]
     lines += _indented(rule.good)
-    stacks = words(rule.stacks)
+    stacks = stacks_text(rule.stacks)
     more = [f"Stacks: {stacks}"] if stacks else []
     more += [f"Known from: {rule.measured}"] if rule.measured not in {"", stacks} else []
     if rule.only_when_asked:

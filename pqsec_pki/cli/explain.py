@@ -156,7 +156,7 @@ def _of_one(asked: dict[str, Any], answer: Answering, now: datetime) -> int:
         raise
     found = answer(policy_input)
     if len(found.uses) > 1:
-        value = {"allowed": found.said, "answer": found.word, "answers": [found]}
+        value = {"allowed": found.yes_or_no, "answer": found.word, "answers": [found]}
         _printing.emit(value, right_lines(found))
     else:
         _print_one(policy_input, found.uses[0])

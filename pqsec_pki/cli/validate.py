@@ -115,7 +115,7 @@ def _note_takers(file: Path) -> None:
 
 def _of_finding(finding: "Finding", file: Path) -> dict[str, Any]:
     place = f"line {finding.line}: " if finding.line else ""
-    text = f"{place}{finding.message} ({finding.rule.id}{finding.holds})"
+    text = f"{place}{finding.message} ({finding.rule.id}{finding.stacks_in_brackets})"
     found = {"line": finding.line, "element": None, "rule": finding.message}
     return {"file": str(file), **found, "text": text}
 

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
         CrashShape,
         governance_crashes,
         grant_crashes,
-        is_empty,
+        is_blank,
     )
     from pqsec_pki.documents.domains import MAX_DOMAIN, MAX_DOMAIN_ID, DomainRange, DomainSet
     from pqsec_pki.documents.governance import DomainRule, Governance, ProtectionKind, TopicRule
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
         governance_to_yaml,
         new_governance,
     )
-    from pqsec_pki.documents.markup import Markup, Token, markup_of
+    from pqsec_pki.documents.markup import Token, TokenKind, tokens_of
     from pqsec_pki.documents.permissions import (
         Criteria,
         DefaultAction,
@@ -64,7 +64,6 @@ __all__ = [
     "Governance",
     "Grant",
     "Kind",
-    "Markup",
     "Node",
     "PermissionRule",
     "Permissions",
@@ -72,16 +71,16 @@ __all__ = [
     "ProtectionKind",
     "Subject",
     "Token",
+    "TokenKind",
     "TopicRule",
     "Tree",
     "governance_crashes",
     "governance_from_yaml",
     "governance_to_yaml",
     "grant_crashes",
-    "is_empty",
+    "is_blank",
     "lasting",
     "load_schemas",
-    "markup_of",
     "new_governance",
     "new_permissions",
     "parse_subject",
@@ -92,6 +91,7 @@ __all__ = [
     "ros",
     "same_subject",
     "sros2",
+    "tokens_of",
     "validate",
     "with_line_feeds",
 ]

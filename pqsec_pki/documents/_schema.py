@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.documents._xml import MAX_PROBLEMS, invalid, parse, problem
+from pqsec_pki.documents._xml import MAX_PROBLEMS, invalid, parse, parse_any, problem
 from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
 from pqsec_pki.problems import Code, Problem
 
@@ -97,7 +97,7 @@ def validate(xml: bytes, extensions: Extensions | None = None, *, any_markup: bo
     lists everything that breaks the schema, with line, element and rule; if several children of an
     element are out of place, only the first.
     """
-    root = parse(xml, any_markup=any_markup)
+    root = parse_any(xml)[0] if any_markup else parse(xml)
     if extensions:
         extensions.remove_from(root)
     kind = _kind(root)
@@ -105,14 +105,21 @@ def validate(xml: bytes, extensions: Extensions | None = None, *, any_markup: bo
     return kind
 
 
-def read(xml: bytes, kind: Kind, *, any_markup: bool = False) -> "_Element":
-    """The root element of a valid document of that kind; errors as in `validate`."""
-    root = parse(xml, any_markup=any_markup)
+def read(
+    xml: bytes, kind: Kind, *, any_markup: bool = False
+) -> "tuple[_Element, tuple[Problem, ...]]":
+    """The root element of a valid document of that kind, and its values with markup.
+
+    Errors as in `validate`, and unless `any_markup` for these values.
+    """
+    root, markup = parse_any(xml)
+    if markup and not any_markup:
+        raise InvalidDocumentError(markup)
     found = _kind(root)
     if found is not kind:
         raise InvalidDocumentError([problem(root, f"is a {found} document, not a {kind} one")])
     _check(root, kind)
-    return root
+    return root, markup
 
 
 def _kind(root: "_Element") -> Kind:

@@ -31,13 +31,23 @@ _MARKUP = {"Comment": "a comment", "ProcessingInstruction": "a processing instru
 _CDATA = "<![CDATA["
 
 
-def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
+def parse(xml: bytes) -> "_Element":
     """The root element of `xml`, without its comments and processing instructions.
 
-    The encoding is found as in XML 1.0, appendix F: by byte order mark, by declaration, else
-    UTF-8. InvalidDocumentError, with the line, if it is not well formed, too large or too deep,
-    or has a DOCTYPE; and, unless `any_markup`, if a value has a comment, a CDATA section or a
-    processing instruction in it: other readers read another value there.
+    Errors as in `parse_any`, and if there is markup in a value.
+    """
+    root, markup = parse_any(xml)
+    if markup:
+        raise InvalidDocumentError(markup)
+    return root
+
+
+def parse_any(xml: bytes) -> "tuple[_Element, tuple[Problem, ...]]":
+    """The root element, and the values with a comment, CDATA section or processing instruction.
+
+    Other readers read another value there. The encoding is found as in XML 1.0, appendix F: by
+    byte order mark, by declaration, else UTF-8. InvalidDocumentError, with the line, if it is not
+    well formed, too large or too deep, or has a DOCTYPE.
     """
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
@@ -47,11 +57,9 @@ def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
         root = etree.fromstring(xml, _parser())
     if root.getroottree().docinfo.internalDTD is not None:
         raise invalid("has a DOCTYPE, which is not allowed: remove it")
-    problems = () if any_markup else tuple(islice(_markup_in_values(root), MAX_PROBLEMS))
-    if problems:
-        raise InvalidDocumentError(problems)
+    markup = tuple(islice(_markup_in_values(root), MAX_PROBLEMS))
     etree.strip_tags(root, etree.Comment, etree.ProcessingInstruction)
-    return root
+    return root, markup
 
 
 def _not_well_formed(error: BaseException) -> InvalidDocumentError:
@@ -117,11 +125,6 @@ def with_line_feeds(xml: bytes) -> bytes:
 def invalid(message: str, line: int | None = None) -> InvalidDocumentError:
     """The error for a document with one problem."""
     return InvalidDocumentError([Problem(message, line=line)])
-
-
-def is_markup(error: InvalidDocumentError) -> bool:
-    """Whether the document is refused only because of markup in its values."""
-    return all(each.code is Code.READERS_DISAGREE for each in error.problems)
 
 
 def problem(element: "_Element", message: str, code: Code = Code.OTHER) -> Problem:

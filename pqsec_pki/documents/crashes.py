@@ -86,7 +86,7 @@ def governance_crashes(rules: "Iterable[DomainRule]") -> Iterator[Crash]:
     """What crashes stacks in the domain rules of a governance document."""
     for rule in rules:
         for topic_rule in rule.topic_rules:
-            if is_empty(topic_rule.topic_expression):
+            if is_blank(topic_rule.topic_expression):
                 yield Crash(EMPTY_EXPRESSION, topic_rule)
 
 
@@ -97,10 +97,10 @@ def grant_crashes(grants: "Iterable[Grant]") -> Iterator[Crash]:
             if any(isinstance(each, DomainRange) and each.no_min for each in rule.domains.parts):
                 yield Crash(RANGE_WITHOUT_MIN, rule)
             for criteria in (*rule.publish, *rule.subscribe):
-                if any(map(is_empty, criteria.topics)):
+                if any(map(is_blank, criteria.topics)):
                     yield Crash(EMPTY_TOPIC, rule, criteria)
 
 
-def is_empty(value: str) -> bool:
+def is_blank(value: str) -> bool:
     """Whether it has nothing but white space, which stacks drop."""
     return not value.strip(_XML_SPACE)

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading, _schema, _writing
-from pqsec_pki.documents._xml import is_markup, with_line_feeds
+from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
-from pqsec_pki.errors import InvalidDocumentError, UsageError
+from pqsec_pki.errors import UsageError
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -138,13 +138,10 @@ class Governance:
         InvalidDocumentError if it is not XML, or breaks its schema, or names a domain id of more
         than 31 bits, or, unless `any_markup`, has markup in a value.
         """
-        try:
-            return cls(domain_rules=_usual_rules(xml) or _rules_in_elements(xml))
-        except InvalidDocumentError as error:
-            if not any_markup or not is_markup(error):
-                raise
-            rules = _rules_in_elements(xml, any_markup=True)
-            return cls(domain_rules=rules, markup=error.problems)
+        if rules := _usual_rules(xml):
+            return cls(domain_rules=rules)
+        rules, markup = _rules_in_elements(xml, any_markup=any_markup)
+        return cls(domain_rules=rules, markup=markup)
 
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
@@ -179,10 +176,12 @@ def _usual_rules(xml: bytes) -> tuple[DomainRule, ...]:
     return (replace(rule, topic_rules=(topics,), line=_RULE_LINE),)
 
 
-def _rules_in_elements(xml: bytes, *, any_markup: bool = False) -> tuple[DomainRule, ...]:
-    """The rules, by the XML parser and the schema, whatever the form."""
-    [rules] = _schema.read(xml, _schema.Kind.GOVERNANCE, any_markup=any_markup)
-    return tuple(map(_domain_rule, rules))
+def _rules_in_elements(
+    xml: bytes, *, any_markup: bool = False
+) -> tuple[tuple[DomainRule, ...], tuple[Problem, ...]]:
+    """The rules and values with markup, by the XML parser and the schema, whatever the form."""
+    root, markup = _schema.read(xml, _schema.Kind.GOVERNANCE, any_markup=any_markup)
+    return tuple(map(_domain_rule, root[0])), markup
 
 
 # The schema fixes the number and order of the children, so they are found by position.

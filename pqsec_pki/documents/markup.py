@@ -20,7 +20,7 @@ _ATTRIBUTE = re.compile(rb"([^\s=\"'<>/]+)\s*=\s*(\"[^\"]*\"|'[^']*')")
 _DECLARATION = re.compile(rb"<\?xml\s")
 
 
-class Markup(Enum):
+class TokenKind(Enum):
     """What a token is."""
 
     COMMENT = auto()
@@ -38,7 +38,7 @@ class Markup(Enum):
 class Token:
     """A tag, a comment, a text without tags, and so on."""
 
-    kind: Markup
+    kind: TokenKind
     octets: bytes
     begin: int
     """Where it begins in the document, in octets."""
@@ -61,7 +61,7 @@ class Token:
         return tuple((name.decode(), value[1:-1]) for name, value in found)
 
 
-def markup_of(xml: bytes) -> Iterator[Token]:
+def tokens_of(xml: bytes) -> Iterator[Token]:
     """The tokens of a well-formed document without DOCTYPE, in their order, without declaration.
 
     None of a document in UTF-16, whose octets are not those of ASCII.
@@ -73,5 +73,5 @@ def markup_of(xml: bytes) -> Iterator[Token]:
         line += xml.count(b"\n", counted, found.start())
         counted = found.start()
         if not (found.lastgroup == "INSTRUCTION" and _DECLARATION.match(found[0])):
-            kind = Markup[str(found.lastgroup)]
+            kind = TokenKind[str(found.lastgroup)]
             yield Token(kind=kind, octets=found[0], begin=found.start(), line=line)

@@ -9,10 +9,10 @@ from weakref import WeakValueDictionary
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _plain, _reading, _schema, _writing
-from pqsec_pki.documents._xml import is_markup, with_line_feeds
+from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.subject import parse_subject, same_subject
-from pqsec_pki.errors import InvalidDocumentError, UsageError
+from pqsec_pki.errors import UsageError
 from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
@@ -177,7 +177,9 @@ class Permissions:
         found = _IN_USE.get(xml)
         if found is None:
             plain = _plain.read(xml)
-            found = _of_plain(plain) if plain else _in_elements(xml, any_markup=any_markup)
+            found = (
+                _of_plain(plain) if plain else permissions_in_elements(xml, any_markup=any_markup)
+            )
             if not found.markup:
                 _IN_USE[xml] = found
         return found
@@ -250,21 +252,11 @@ def _of_plain(text: _plain.PlainText) -> Permissions:
     return found
 
 
-def _in_elements(xml: bytes, *, any_markup: bool) -> Permissions:
-    try:
-        return permissions_in_elements(xml)
-    except InvalidDocumentError as error:
-        if not any_markup or not is_markup(error):
-            raise
-        found = permissions_in_elements(xml, any_markup=True)
-        return Permissions(grants=found.grants, markup=error.problems)
-
-
 def permissions_in_elements(xml: bytes, *, any_markup: bool = False) -> Permissions:
     """Like `Permissions.from_xml`, with the XML parser and the schema, for any form."""
     # The schema fixes the number and order of the children, so they are found by position.
-    [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS, any_markup=any_markup)
-    return Permissions(grants=tuple(map(_grant, grants)))
+    root, markup = _schema.read(xml, _schema.Kind.PERMISSIONS, any_markup=any_markup)
+    return Permissions(grants=tuple(map(_grant, root[0])), markup=markup)
 
 
 def _grant(element: "_Element") -> Grant:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading
-from pqsec_pki.documents._xml import invalid, parse
+from pqsec_pki.documents._xml import invalid, parse_any
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -71,7 +71,7 @@ def read_tree(xml: bytes) -> Tree:
     InvalidDocumentError as for other documents, for more than MAX_ELEMENTS elements, and for an
     element with more than MAX_ATTRIBUTES attributes.
     """
-    root = parse(xml, any_markup=True)
+    root = parse_any(xml)[0]
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
         raise invalid(f"more than {MAX_ELEMENTS} elements, so not a document of this kind")
     return Tree(

@@ -23,7 +23,7 @@ def to_code_quality(report: LintReport) -> list[dict[str, Any]]:
         text = "\0".join((*same, str(seen[same])))
         issues.append(
             {
-                "description": f"{each.message} ({each.rule.title}){each.holds}",
+                "description": f"{each.message} ({each.rule.title}){each.stacks_in_brackets}",
                 "check_name": each.rule.id,
                 "fingerprint": hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest(),
                 "severity": _SEVERITIES[each.severity],

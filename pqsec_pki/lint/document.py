@@ -15,8 +15,8 @@ from pqsec_pki.documents import (
     Permissions,
     Token,
     Tree,
-    markup_of,
     read_tree,
+    tokens_of,
     validate,
     with_line_feeds,
 )
@@ -77,7 +77,7 @@ class ParsedText:
     @cached_property
     def tokens(self) -> tuple[Token, ...]:
         """Its markup as it is written; none if it is not well-formed."""
-        return tuple(markup_of(self.xml)) if self.tree[0] else ()
+        return tuple(tokens_of(self.xml)) if self.tree[0] else ()
 
     @cached_property
     def governance(self) -> Governance | None:

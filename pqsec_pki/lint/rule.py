@@ -42,13 +42,13 @@ FAST: Affected = {Stack.FASTDDS: "2.9.1, 3.1.2, 3.6.2"}
 """The versions in which most rules were measured."""
 
 
-def words(affected: Affected) -> str:
+def stacks_text(affected: Affected) -> str:
     """Such as `Cyclone DDS 0.10.2, 11.0.1; OpenDDS`."""
     return "; ".join(f"{stack.product} {affected[stack]}".strip() for stack in affected)
 
 
-CYCLONES = words(CYCLONE)
-SIX_STACKS = words({**CYCLONE, **FAST})
+CYCLONES = stacks_text(CYCLONE)
+SIX_STACKS = stacks_text({**CYCLONE, **FAST})
 FAMILIES = {
     "0": "frame",
     "1": "x509",
@@ -186,7 +186,7 @@ def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
             check=check,
             stacks=affected,
             rows=tuple(rows),
-            measured=measured or (words(affected) if any(affected.values()) else ""),
+            measured=measured or (stacks_text(affected) if any(affected.values()) else ""),
             only_when_asked=only_when_asked,
         )
         return check
@@ -241,9 +241,11 @@ class Finding:
         return f"{self.path}:{self.line}" if self.line else str(self.path)
 
     @property
-    def holds(self) -> str:
+    def stacks_in_brackets(self) -> str:
         """The stacks and versions for which it holds, in brackets after a space, if some."""
-        return f" [{words(self.stacks)}]" if self.stacks else ""
+        return f" [{stacks_text(self.stacks)}]" if self.stacks else ""
 
     def __str__(self) -> str:
-        return f"{self.place}: {self.severity} {self.rule.id} {self.message}{self.holds}"
+        return (
+            f"{self.place}: {self.severity} {self.rule.id} {self.message}{self.stacks_in_brackets}"
+        )

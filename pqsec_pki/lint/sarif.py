@@ -5,7 +5,7 @@ from typing import Any
 from urllib.parse import quote
 
 from pqsec_pki import __version__
-from pqsec_pki.lint.rule import Finding, Rule, Severity, words
+from pqsec_pki.lint.rule import Finding, Rule, Severity, stacks_text
 from pqsec_pki.lint.run import LintReport
 from pqsec_pki.lint.table import RULES
 
@@ -50,7 +50,7 @@ def _result(finding: Finding, places: dict[str, int]) -> dict[str, Any]:
     if finding.line:
         location["region"] = {"startLine": finding.line}
     more = {"code": finding.code.value} if finding.code else {}
-    more |= {"stacks": words(finding.stacks)} if finding.stacks else {}
+    more |= {"stacks": stacks_text(finding.stacks)} if finding.stacks else {}
     return {
         "ruleId": finding.rule.id,
         "ruleIndex": places[finding.rule.id],

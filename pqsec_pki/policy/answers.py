@@ -67,7 +67,7 @@ class Answer:
         place = policy_input.place(self.decision)
         return {
             "as": self.interpretation.name,
-            "allowed": self.decision.said,
+            "allowed": self.decision.yes_or_no,
             "answer": self.word,
             "reason": self.decision.reason,
             "file": str(place[0]) if place else None,

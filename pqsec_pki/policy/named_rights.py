@@ -86,7 +86,7 @@ class RightAnswer:
         return next((each.word for each in answers if not each.is_known), Verdict.NO.value)
 
     @property
-    def said(self) -> bool | None:
+    def yes_or_no(self) -> bool | None:
         """Whether it is allowed; None if that is not known."""
         return self.allowed if Verdict(self.word).is_known else None
 
@@ -106,7 +106,7 @@ class RightAnswer:
         return {
             "participant": self.policy_input.who,
             "right": self.right.words,
-            "allowed": self.said,
+            "allowed": self.yes_or_no,
             "answer": self.word,
             "topics": [
                 {

@@ -5,7 +5,6 @@ from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import field, replace
 from datetime import datetime
 from itertools import chain
-from operator import itemgetter
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
@@ -16,14 +15,13 @@ from pqsec_pki.access import (
     InterpretedPolicy,
     Placed,
     Question,
-    Topics,
     domains_ungoverned,
     is_known,
     topics_asked,
     topics_named,
     who_may_anywhere,
 )
-from pqsec_pki.documents import DomainRange, DomainSet, ros
+from pqsec_pki.documents import DomainRange, DomainSet
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet
 from pqsec_pki.policy.participants import end_of_rights
@@ -112,63 +110,6 @@ class WhoMay:
                 "publish": list(each.row.publishers),
                 "subscribe": list(each.row.subscribers),
             }
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Flow:
-    """What one participant can send to others: the same topics to all of them."""
-
-    sender: str
-    receivers: tuple[str, ...]
-    domains: DomainSet
-    partitions: tuple[Topics, ...]
-    where: str
-    """The partitions in words; empty for the default partition."""
-    topics: tuple[str, ...]
-    """DDS topics, and patterns."""
-
-    def to_json(self) -> dict[str, object]:
-        """With the topics also in the words of ROS 2."""
-        return {
-            "from": self.sender,
-            "to": list(self.receivers),
-            "domains": str(self.domains),
-            "partitions": [each.to_json() for each in self.partitions],
-            "topics": list(self.topics),
-            "ros": list(map(ros.said, self.topics)),
-        }
-
-
-def flows(rows: Iterable[Placed]) -> list[Flow]:
-    """What each participant can send, and the receivers.
-
-    Without the discovery topic of ROS 2, which all nodes share, and without what participants
-    send to themselves.
-    """
-    found: dict[tuple[str, str, str, tuple[str, ...]], tuple[Placed, list[str]]] = {}
-    for each in rows:
-        row = each.row
-        if row.topic == ros.DISCOVERY or not row.subscribers:
-            continue
-        both = {*row.publishers} & {*row.subscribers}
-        for sender in row.publishers:
-            others = row.subscribers
-            if sender in both:
-                others = tuple(name for name in others if name != sender)
-            key = sender, str(each.domains), row.where, others
-            if others:
-                found.setdefault(key, (each, []))[1].append(row.topic)
-    return [
-        Flow(
-            sender=sender,
-            receivers=others,
-            domains=first.domains,
-            partitions=first.row.partitions,
-            where=where,
-            topics=tuple(topics),
-        )
-        for (sender, _, where, others), (first, topics) in sorted(found.items(), key=itemgetter(0))
-    ]
 
 
 def _rows_by_topic(rows: Iterable[Placed]) -> dict[str, list[Placed]]:
@@ -267,13 +208,13 @@ def who_may_by_each(  # noqa: PLR0913 -- what is asked, by name
         who_may_use(
             fleet, topics, domains=domains, partitions=partitions, now=now, interpretation=each
         )
-        for each in (*versions, *(locales if _is_wide(fleet, (*topics, *partitions)) else ()))
+        for each in (*versions, *(locales if _has_non_ascii(fleet, (*topics, *partitions)) else ()))
     )
     kept = [each for each in others if not each.interpretation.locale or found.differing(each)]
     return replace(found, others=tuple(kept))
 
 
-def _is_wide(fleet: Fleet, asked: Iterable[str]) -> bool:
+def _has_non_ascii(fleet: Fleet, asked: Iterable[str]) -> bool:
     """Whether a name or pattern is not ASCII: else a locale decides nothing about these names."""
     rules = (rule for each in fleet.members for g in each.permissions.grants for rule in g.rules)
     criteria = (each for rule in rules for each in (*rule.publish, *rule.subscribe))

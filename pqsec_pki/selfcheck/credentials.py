@@ -118,7 +118,7 @@ def _refuse_crash(
     subject = applicant.certificate.subject_name
     join = Question(subject=subject, domain=0, action=Action.JOIN, now=now)
     for row in INTERPRETATIONS:
-        if row.stack == stack.product_name:
+        if row.stack == stack.stack_name:
             decision = InterpretedPolicy(governance, permissions, row).unanswered(join)
             if decision:
                 name, reading = applicant.name, row.name

@@ -50,7 +50,7 @@ class SimulatedStack:
     """Whether this row describes the versions with the limit."""
 
     @property
-    def product_name(self) -> str:
+    def stack_name(self) -> str:
         """The stack's name without versions, such as fastdds for fastdds-3.1."""
         return self.name.partition("-")[0]
 

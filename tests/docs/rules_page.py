@@ -12,7 +12,7 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-from pqsec_pki.lint import RULES, Rule, Severity, words  # noqa: E402 -- after the path
+from pqsec_pki.lint import RULES, Rule, Severity, stacks_text  # noqa: E402 -- after the path
 from pqsec_pki.lint.documents._extensions import ROWS  # noqa: E402
 from pqsec_pki.lint.documents.markup import UNREADABLE  # noqa: E402
 from tests.docs.rows import row as _row  # noqa: E402
@@ -91,10 +91,10 @@ def is_refused(row: dict[str, str]) -> bool:
 
 def rule_page(rule: Rule) -> str:
     """The section of one rule, in Markdown: severity, reason, example, and fix."""
-    stacks = words(rule.stacks) or "all stacks"
+    stacks = stacks_text(rule.stacks) or "all stacks"
     asked = f", checked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
     kind = f"**{Severity(rule.severity)}**, {stacks}{asked if rule.only_when_asked else ''}."
-    more = "" if rule.measured == words(rule.stacks) else rule.measured
+    more = "" if rule.measured == stacks_text(rule.stacks) else rule.measured
     known = [f"Known from: {_plain(more)}."] if more else []
     parts = [
         f"### {rule.id}: {_plain(rule.title)}",
@@ -128,14 +128,17 @@ def _beyond() -> str:
     for stack, elements in ROWS.items():
         for each in elements:
             parents = ", ".join(f"`<{parent}>`" for parent in each.parents)
-            name = words({stack: each.versions})
+            name = stacks_text({stack: each.versions})
             lines.append(_row((name, f"`<{each.tag}>`", parents, each.source)))
     return "\n".join(lines)
 
 
 def _markup() -> str:
     lines = [_row(("Markup", "Stacks", "Instead")), _row(["---"] * 3)]
-    rows = (_row((_plain(each.words), words(each.stacks), _plain(each.way))) for each in UNREADABLE)
+    rows = (
+        _row((_plain(each.words), stacks_text(each.stacks), _plain(each.fix)))
+        for each in UNREADABLE
+    )
     return "\n".join([*lines, *rows])
 
 

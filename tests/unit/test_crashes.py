@@ -82,7 +82,7 @@ def test_a_stack_that_crashes_says_neither_yes_nor_no(case):
             assert (decision.verdict is Verdict.CRASHES) is crashes, row.name
             if crashes:
                 assert not decision.allowed
-                assert decision.said is None
+                assert decision.yes_or_no is None
                 assert row.title in decision.reason
                 assert (decision.criteria or decision.decided_by).line == found.line
 
@@ -122,7 +122,7 @@ def test_readers_differ_is_the_answer_of_all_where_a_value_has_markup(
         for asked in (PUBLISHING, {"action": Action.JOIN}):
             decision = ask(kind, xml, row, **asked)
             assert decision.verdict is Verdict.READERS_DIFFER
-            assert (decision.allowed, decision.said) == (False, None)
+            assert (decision.allowed, decision.yes_or_no) == (False, None)
             assert decision.decided_by.line == line
     with pytest.raises(InvalidDocumentError, match="readers differ"):
         kind.from_xml(xml, any_markup=True).to_xml()

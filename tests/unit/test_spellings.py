@@ -42,11 +42,11 @@ def allowing(document, governance=GOVERNANCE, domain=7, topic="t"):
     """The interpretations that let the subject publish."""
     asked = {"subject": "CN=/a", "domain": domain, "topic": topic, "now": NOW}
     question = Question(action=Action.PUBLISH, **asked)
-    governance = replace_joining(governance)
+    governance = with_an_open_topic(governance)
     return {each for each in EVERY if decide(governance, document, question, each).allowed}
 
 
-def replace_joining(governance):
+def with_an_open_topic(governance):
     """With a topic that is open, without which OpenDDS creates no participant."""
     [rule] = governance.domain_rules
     [topic] = rule.topic_rules

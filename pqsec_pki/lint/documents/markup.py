@@ -10,21 +10,21 @@ from dataclasses import field, replace
 from itertools import pairwise
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.documents import Markup, Token
+from pqsec_pki.documents import Token, TokenKind
 from pqsec_pki.lint.document import Document, GovernanceFile
 from pqsec_pki.lint.rule import FAST, Affected, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
-_READERS: Affected = {Stack.CYCLONEDDS: "0.10.2, 11.0.1"}
+_CYCLONE: Affected = {Stack.CYCLONEDDS: "0.10.2, 11.0.1"}
 LONGEST_REFERENCE = 16
 """Octets of the longest reference that Cyclone DDS reads, without its `&`."""
 _LONG = re.compile(rb"&[^;]{%d,};" % LONGEST_REFERENCE)
 _UNENDED = re.compile(rb"&(?![^;]{1,%d};)" % (LONGEST_REFERENCE - 1))
 _PLAIN, _TYPOGRAPHIC = {'"': '"', "'": "'"}, {"\u201c": "\u201d", "\u2018": "\u2019"}
 """Cyclone DDS takes a value that begins with one of these for a string, and searches its end."""
-_TAGS = (Markup.START, Markup.EMPTY, Markup.END)
-_NODES = {Markup.COMMENT: "a comment", Markup.CDATA: "a CDATA section"}
+_TAGS = (TokenKind.START, TokenKind.EMPTY, TokenKind.END)
+_NODES = {TokenKind.COMMENT: "a comment", TokenKind.CDATA: "a CDATA section"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -32,22 +32,24 @@ class Unreadable:
     """A kind of markup that a stack cannot read."""
 
     words: str
-    way: str
-    """The way out."""
+    fix: str
+    """What to write instead."""
     find: Callable[[Document], Iterator[int]]
     """The lines where it is."""
-    stacks: Affected = field(default_factory=lambda: _READERS)
+    stacks: Affected = field(default_factory=lambda: _CYCLONE)
 
 
 def _end_tags(document: Document) -> Iterator[int]:
     for each in document.tokens:
-        if each.kind is Markup.END and each.octets[-2:-1].isspace():
+        if each.kind is TokenKind.END and each.octets[-2:-1].isspace():
             yield each.line
 
 
 def _long_references(document: Document) -> Iterator[int]:
     for each in document.tokens:
-        if each.kind in {Markup.START, Markup.EMPTY, Markup.TEXT} and _LONG.search(each.octets):
+        if each.kind in {TokenKind.START, TokenKind.EMPTY, TokenKind.TEXT} and _LONG.search(
+            each.octets
+        ):
             yield each.line
 
 
@@ -73,7 +75,7 @@ def _quotes(document: Document, pairs: Mapping[str, str]) -> Iterator[int]:
     for before, text in pairwise(document.tokens):
         value = text.octets.lstrip()
         quote = next((each for each in ends if value.startswith(each)), None)
-        if quote and before.kind is Markup.START and text.kind is Markup.TEXT:
+        if quote and before.kind is TokenKind.START and text.kind is TokenKind.TEXT:
             begin = text.end - len(value) + len(quote)
             end = ends[quote].after(begin)
             if end == len(xml) or unended.after(begin) < end:
@@ -84,11 +86,11 @@ def _between_elements(document: Document, wanted: Callable[[Token], bool]) -> It
     """The lines of wanted tokens that are in elements with elements in them."""
     found: list[tuple[bool, list[int]]] = [(False, [])]
     for each in document.tokens:
-        if each.kind in {Markup.START, Markup.EMPTY}:
+        if each.kind in {TokenKind.START, TokenKind.EMPTY}:
             found[-1] = (True, found[-1][1])
-        if each.kind is Markup.START:
+        if each.kind is TokenKind.START:
             found.append((False, []))
-        elif each.kind is Markup.END:
+        elif each.kind is TokenKind.END:
             has_elements, lines = found.pop()
             yield from lines if has_elements else ()
         elif wanted(each):
@@ -96,42 +98,42 @@ def _between_elements(document: Document, wanted: Callable[[Token], bool]) -> It
 
 
 def _is_section(token: Token) -> bool:
-    return token.kind is Markup.CDATA
+    return token.kind is TokenKind.CDATA
 
 
 def _is_reference(token: Token) -> bool:
-    return token.kind is Markup.TEXT and b"&" in token.octets
+    return token.kind is TokenKind.TEXT and b"&" in token.octets
 
 
 UNREADABLE = (
     Unreadable(
         words="white space before the > of an end tag",
-        way="write </topic>, not </topic >",
+        fix="write </topic>, not </topic >",
         find=_end_tags,
     ),
     Unreadable(
         words="a CDATA section between elements",
-        way="remove it",
+        fix="remove it",
         find=lambda document: _between_elements(document, _is_section),
     ),
     Unreadable(
         words="a character reference between elements",
-        way="write the white space itself",
+        fix="write the white space itself",
         find=lambda document: _between_elements(document, _is_reference),
     ),
     Unreadable(
         words=f"a character reference of more than {LONGEST_REFERENCE - 1} characters",
-        way="write it without leading zeros, or write the character itself",
+        fix="write it without leading zeros, or write the character itself",
         find=_long_references,
     ),
     Unreadable(
         words="a value that begins with a quotation mark, and has no second one",
-        way="write &quot; for \", and &apos; for '",
+        fix="write &quot; for \", and &apos; for '",
         find=lambda document: _quotes(document, _PLAIN),
     ),
     Unreadable(
         words="a value that begins with a typographic quotation mark, and has no second one",
-        way="write a character reference: &#8220; or &#8216;",
+        fix="write a character reference: &#8220; or &#8216;",
         find=lambda document: _quotes(document, _TYPOGRAPHIC),
         stacks={Stack.CYCLONEDDS: "0.10.2"},
     ),
@@ -145,14 +147,14 @@ UNREADABLE = (
     " document.",
     fix="Write it as the finding says. What `pqsec sign-governance` and `pqsec sign-permissions`"
     " sign has none of it.",
-    stacks=_READERS,
+    stacks=_CYCLONE,
     bad="<domains><id>0</id></domains >",
     good="<domains><id>0</id></domains>",
 )  # fmt: skip
 def unreadable(document: Document) -> Iterator[Violation]:
     for kind in UNREADABLE:
         for line in kind.find(document):
-            found = document.at(line, f"{kind.words}: Cyclone DDS cannot read it; {kind.way}")
+            found = document.at(line, f"{kind.words}: Cyclone DDS cannot read it; {kind.fix}")
             yield replace(found, stacks=kind.stacks)
 
 
@@ -168,8 +170,8 @@ def unreadable(document: Document) -> Iterator[Violation]:
 def instruction(document: Document) -> Iterator[Violation]:
     at_begin = True
     for each in document.tokens:
-        if each.kind is not Markup.INSTRUCTION:
-            at_begin = at_begin and each.kind is Markup.TEXT
+        if each.kind is not TokenKind.INSTRUCTION:
+            at_begin = at_begin and each.kind is TokenKind.TEXT
         elif not at_begin:
             text = "a processing instruction after the begin: Fast DDS cannot read it; remove it"
             yield document.at(each.line, text)
@@ -199,7 +201,7 @@ def before_the_end(document: GovernanceFile) -> Iterator[Violation]:
     after_the_rules = False
     for each in document.tokens:
         if each.kind in _TAGS:
-            after_the_rules = each.kind is Markup.END and each.name == "domain_access_rules"
+            after_the_rules = each.kind is TokenKind.END and each.name == "domain_access_rules"
         elif after_the_rules and (each.kind in _NODES or _is_reference(each)):
             what = _NODES.get(each.kind, "a character reference")
             yield document.at(each.line, f"Fast DDS refuses {what} directly before </dds>")

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from itertools import pairwise
 
-from pqsec_pki.documents import Markup, Node
+from pqsec_pki.documents import Node, TokenKind
 from pqsec_pki.lint.document import Document
 from pqsec_pki.lint.documents._elements import CHILDREN, NEW, SCHEMA_ATTRIBUTES
 from pqsec_pki.lint.documents._extensions import all_but, takers
@@ -28,7 +28,7 @@ _CYCLONE, _FAST = Stack.CYCLONEDDS, Stack.FASTDDS
 )  # fmt: skip
 def unknown_attribute(document: Document) -> Iterator[Violation]:
     for tag in document.tokens:
-        for name, _ in tag.attributes if tag.kind in {Markup.START, Markup.EMPTY} else ():
+        for name, _ in tag.attributes if tag.kind in {TokenKind.START, TokenKind.EMPTY} else ():
             if name not in SCHEMA_ATTRIBUTES and (tag.name, name) != ("grant", "name"):
                 yield document.at(
                     tag.line, f"Cyclone DDS refuses the attribute {name[:40]!a} of a document"

@@ -32,7 +32,7 @@ from pqsec_pki.lint.rule import (
     Severity,
     Violation,
     lint_rule,
-    words,
+    stacks_text,
 )
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
@@ -171,7 +171,7 @@ def neither_kind(document: Document) -> Iterator[Violation]:
     found = document.at(document.root, "does not match its schema, so its meaning was not checked")
     yield replace(found, stacks=all_but(taken))
     if taken:
-        text = f"has elements that only {words(taken)} takes, so its meaning was not checked"
+        text = f"has elements that only {stacks_text(taken)} takes, so its meaning was not checked"
         yield replace(found, message=text, stacks=taken, severity=Severity.INFO)
 
 
