@@ -1,7 +1,7 @@
 """What ends the process of a stack that reads it, although the schema allows it.
 
-The table is all that pqsec knows of this: signing refuses it, each interpretation of the documents
-answers `crashes`, and lint reports it.
+Signing refuses what the table has, and each interpretation of the documents answers `crashes`.
+Rules of lint report the same (PQS218, PQS232), with versions of their own.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
