@@ -481,3 +481,12 @@ def test_a_topic_that_crashes_a_stack_is_refused_before_anything_is_issued(probl
         text += "- {name: /x, role: r, values: {which: ' '}}\n"
     [found] = problems(text)
     assert re.match(r"domain\.yaml: line \d: an empty <topic> .* crashes Cyclone DDS", found)
+
+
+def test_governance_that_crashes_a_stack_is_refused_before_anything_is_issued(problems):
+    rules = "{rules: [{domains: 0, topics: [{topic: ' '}]}]}"
+    xml = PRESETS[1].governance(DomainSet.of(0)).to_xml().replace(b">*<", b"> <")
+    for text, where in ((rules, "domain"), ("{file: g.yaml}", "g"), ("{file: g.xml}", "g")):
+        [found] = problems(f"governance: {text}", g_yaml=rules, g_xml=xml)
+        assert re.match(rf"{where}\.\w+: line \d+: ", found)
+        assert "an empty <topic_expression> crashes Cyclone DDS" in found
