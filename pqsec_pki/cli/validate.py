@@ -134,7 +134,10 @@ def _kind(file: Path) -> str:
 
             read_settings(file)
             return "serve"
-    return valid_kind(file, _settings.now()).value
+    kind, problems = valid_kind(file, _settings.now())
+    for each in problems:
+        _printing.note(f"{file}: it cannot be signed: {each}")
+    return kind.value
 
 
 def _told(error: InvalidDocumentError, file: Path) -> Iterator[dict[str, Any]]:

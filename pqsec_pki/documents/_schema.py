@@ -1,7 +1,7 @@
 """Validates a document against its schema, and lists everything that is wrong with it."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 from functools import cache
 from itertools import islice
@@ -34,20 +34,22 @@ class Kind(StrEnum):
 class Extensions:
     """What a stack takes in documents beyond the schema."""
 
-    elements: frozenset[tuple[str, str]]
-    """(parent, element)."""
+    elements: Mapping[tuple[str, str], str]
+    """(parent, element) -> the element of the schema in whose place it stands; "" if none."""
     attributes: frozenset[str]
     """Of any element."""
     skipped: tuple[str, str]
     """(attribute, value) of elements that the stack skips if it does not know them."""
 
     def remove_from(self, root: "_Element") -> None:
-        """Remove them: what remains must match the schema."""
+        """Remove or replace them: what remains must match the schema."""
         name, value = self.skipped
         for element in list(root.iter("*")):
             parent = element.getparent()
-            known = parent is not None and (parent.tag, element.tag) in self.elements
-            if parent is not None and (known or element.get(name) == value):
+            instead = None if parent is None else self.elements.get((parent.tag, element.tag))
+            if instead:
+                element.tag = instead
+            elif parent is not None and (instead == "" or element.get(name) == value):
                 parent.remove(element)
             for each in self.attributes.intersection(element.attrib):
                 del element.attrib[each]

@@ -18,8 +18,8 @@ from pqsec_pki.documents import (
     permissions_from_yaml,
     validate,
 )
-from pqsec_pki.errors import UsageError, VerificationError, located
-from pqsec_pki.problems import Code
+from pqsec_pki.errors import InvalidDocumentError, UsageError, VerificationError, located
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import SignedFile, Verified, document_in, is_signed
 
 Value = TypeVar("Value", Governance, Permissions)
@@ -90,15 +90,22 @@ def document_at(path: Path, now: datetime, *, any_markup: bool = False) -> Docum
     return _document(path, read(path), now, any_markup=any_markup)
 
 
-def valid_kind(path: Path, now: datetime) -> Kind:
+def valid_kind(path: Path, now: datetime) -> tuple[Kind, tuple[Problem, ...]]:
     """The kind of the document at `path`, which is valid: XML by its schema, else its YAML.
 
+    And why it cannot be signed all the same, as it crashes a stack, or readers differ.
     InvalidDocumentError with each problem and its line; MalformedError for another file.
     """
     data = read(path)
     if _is_yaml(path, data):
-        return kind_of(_document(path, data, now))
-    return validate(document_in(data) if is_signed(data) else data)
+        kind = kind_of(_document(path, data, now))
+    else:
+        kind = validate(document_in(data) if is_signed(data) else data)
+    try:
+        _document(path, data, now).value.to_xml()
+    except InvalidDocumentError as error:
+        return kind, error.problems
+    return kind, ()
 
 
 def _document(path: Path, data: bytes, now: datetime, *, any_markup: bool = False) -> Document:

@@ -204,6 +204,21 @@ def test_markup_that_a_stack_cannot_read_is_told_for_that_stack(pqsec, keystore,
     assert "(PQS278 [Cyclone DDS 0.10.2, 11.0.1])" in said.out
 
 
+@pytest.mark.parametrize("wrong", ["<topic></topic>", "<id_range><max>9</max></id_range>"])
+def test_a_valid_document_that_crashes_a_stack_is_said_not_to_be_signed(
+    pqsec, keystore, tmp_path, wrong
+):
+    text = (keystore() / "enclaves/talker/permissions.xml").read_text()
+    tag = "id" if "id" in wrong else "topic"
+    text = re.sub(f"<{tag}>[^<]*</{tag}>", wrong, text, count=1)
+    (tmp_path / "d.xml").write_text(text)
+    said = pqsec("validate d.xml").done()
+    assert said.out == "d.xml: valid permissions document\n"
+    assert "note: d.xml: it cannot be signed: line " in said.err
+    assert "crash" in said.err
+    assert "note" not in pqsec(f"validate {PERMISSIONS}.xml").done().err
+
+
 def test_another_file_is_not_valid_for_any_stack(pqsec, tmp_path):
     (tmp_path / "a.txt").write_text("a")
     (tmp_path / "a.xml").write_text("<a/>")

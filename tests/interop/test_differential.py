@@ -13,10 +13,13 @@ import pytest
 from pqsec_pki.algorithms import SIGNATURES, private_key_pem
 from pqsec_pki.documents import DomainSet, Governance, Grant, Permissions
 from tests.fuzz import differential, documents, libcrypto
+from tests.longer import LONG
 
 INPUTS = 400
 DOCUMENTS = 60
 FIXED = 20261122
+SEEDS = {"": FIXED} | ({"new": random.SystemRandom().randrange(1 << 32)} if LONG else {})
+"""In the longer job also another one each time: what it finds must not refuse another change."""
 
 
 @pytest.fixture(scope="module")
@@ -35,7 +38,7 @@ def peers(openssl, openssl35):
 
 @pytest.mark.slow(but=4)
 @pytest.mark.interop
-@pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
+@pytest.mark.parametrize("seed", SEEDS.values(), ids=SEEDS)
 @pytest.mark.parametrize("name", ["smime", "certificates", "lists", "requests", "chains", "keys"])
 def test_what_we_read_openssl_reads_too(kinds, peers, name, seed):
     print("seed", seed)  # a run that fails shows it: tests.fuzz.differential --seed
@@ -51,7 +54,7 @@ def some_stack(plugins, fastdds):
 
 @pytest.mark.slow(but=2)
 @pytest.mark.interop
-@pytest.mark.parametrize("seed", [FIXED, random.SystemRandom().randrange(1 << 32)], ids=["", "new"])
+@pytest.mark.parametrize("seed", SEEDS.values(), ids=SEEDS)
 @pytest.mark.parametrize("name", ["policies", "documents"])
 def test_what_we_say_of_a_document_the_stacks_do(kinds, some_stack, name, seed):
     print("seed", seed)

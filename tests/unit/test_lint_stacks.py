@@ -106,6 +106,7 @@ def test_without_a_target_each_finding_says_for_which_stacks_it_holds(tmp_path):
         pytest.param(parent, row.tag, id=f"{parent}-{row.tag}")
         for row in ROWS[Stack.CONNEXT]
         for parent in row.parents
+        if not row.replaces
     ],
 )
 def test_each_element_of_connext_is_taken_where_it_is_documented(parent, tag, tmp_path):
@@ -131,6 +132,15 @@ def test_what_connext_does_not_take_either_is_an_error_for_connext_too(tmp_path)
         found = errors_in(tmp_path, text)
         assert any(not each.stacks or Stack.CONNEXT in each.stacks for each in found), edit
         assert errors_in(tmp_path, text, Stack.CONNEXT), edit
+
+
+def test_an_expression_in_place_of_the_subject_is_taken_by_connext_alone(tmp_path):
+    text = MONITOR.replace("subject_name>", "subject_name_expression>")
+    assert not errors_in(tmp_path, text, Stack.CONNEXT)
+    refused = {each.rule.id for each in errors_in(tmp_path, text, Stack.FASTDDS)}
+    assert {"PQS209", "PQS219"} <= refused
+    without = MONITOR.replace("<subject_name>CN=/monitor</subject_name>", "")
+    assert "PQS219" in {each.rule.id for each in errors_in(tmp_path, without, Stack.CONNEXT)}
 
 
 def test_an_element_that_need_not_be_interpreted_is_taken_by_connext_alone(tmp_path):

@@ -95,7 +95,11 @@ def test_a_reason_is_short_and_has_no_control_characters():
     assert "\n" not in shim.log[-1]
 
 
-@pytest.mark.parametrize(("starter", "order"), [(OURS, [OURS, PARENT]), (None, [PARENT, OURS])])
+@pytest.mark.parametrize(
+    ("starter", "order"),
+    [(OURS, [OURS, PARENT]), (None, [PARENT, OURS])],
+    ids=["the starter first", "in their order"],
+)
 def test_the_greeting_of_the_host_that_started_the_agent_is_read_first(starter, order):
     """Another process could use the rights of its groups."""
     greeted = []

@@ -21,6 +21,8 @@ class VendorElement:
     versions: str
     """From the oldest one for which it was found in the documents."""
     source: str
+    replaces: str = ""
+    """The required element in whose place it stands."""
 
 
 _DOMAIN, _RULES = ("domain_rule",), ("allow_rule", "deny_rule")
@@ -40,6 +42,13 @@ _CONNEXT = (
     VendorElement(("domains",), "tag", "7.4.0 and later", "MG 7.4.0; examples"),
     VendorElement(("domains",), "tag_expression", "7.4.0 and later", "MG 7.4.0"),
     VendorElement(_RULES, "subscribe_monitoring", "7.7.0 and later", "UM 22; examples"),
+    VendorElement(
+        ("grant",),
+        "subject_name_expression",
+        "7.4.0 and later",
+        "a user's report; not found in RTI's documents",
+        replaces="subject_name",
+    ),
 )
 ROWS: Mapping[Stack, tuple[VendorElement, ...]] = {Stack.CONNEXT: _CONNEXT}
 
@@ -49,7 +58,7 @@ _SKIPPED: Affected = {Stack.CONNEXT: "7.4.0 and later"}
 
 EXTENSIONS: Mapping[Stack, Extensions] = {
     stack: Extensions(
-        elements=frozenset((parent, each.tag) for each in rows for parent in each.parents),
+        elements={(parent, each.tag): each.replaces for each in rows for parent in each.parents},
         attributes=frozenset({_OPTIONAL}),
         skipped=(_OPTIONAL, "false"),
     )
@@ -67,6 +76,19 @@ def takers(parent: str, child: Node) -> Affected:
     }
     skipped = _SKIPPED if dict(child.attributes).get(_OPTIONAL) == "false" else {}
     return {**found, **skipped}
+
+
+def replacements(node: Node, missing: str) -> Affected:
+    """The stacks that take a child of `node` in place of the element that it lacks."""
+    found: Affected = {}
+    for child in node.children:
+        if any(
+            (each.tag, each.replaces) == (child.tag, missing)
+            for rows in ROWS.values()
+            for each in rows
+        ):
+            found = {**found, **takers(node.tag, child)}
+    return found
 
 
 def all_but(taken: Affected) -> Affected:

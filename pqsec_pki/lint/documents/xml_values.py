@@ -1,9 +1,11 @@
 """Rules about the values of elements in governance and permissions, and missing elements."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.documents._elements import BOOLEANS, KINDS, NAMES, NEEDED, WORDS
+from pqsec_pki.lint.documents._extensions import all_but, replacements
 from pqsec_pki.lint.rule import FAST, SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
@@ -178,4 +180,5 @@ def missing_element(document: Document) -> Iterator[Violation]:
         there = {child.tag for child in node.children}
         for tag in NEEDED[node.tag]:
             if tag not in there:
-                yield document.at(node, f"<{node.tag}> lacks <{tag}>")
+                found = document.at(node, f"<{node.tag}> lacks <{tag}>")
+                yield replace(found, stacks=all_but(replacements(node, tag)))
