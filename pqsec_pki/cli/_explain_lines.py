@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from pqsec_pki._times import said
-from pqsec_pki.access import reason_for_several
+from pqsec_pki.access import Verdict, reason_for_several
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import ros
 from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Use
@@ -67,7 +67,7 @@ def lines_of(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]
 
 def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -> Iterator[str]:
     alike = [other.interpretation.title for other in others if not other.differs(answer)]
-    if alike:
+    if alike and answer.decision.verdict is not Verdict.READERS_DIFFER:
         yield f"same  {', '.join(alike)}"
     for other in others:
         if other.differs(answer):

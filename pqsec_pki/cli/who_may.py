@@ -224,6 +224,8 @@ def _note_doubts(found: WhoMay) -> None:
         for name, reason in each.unanswered.items():
             words = f"no answer by {each.interpretation.title} for {printable(name)}"
             _printing.note(f"{words}: {printable(reason)}")
+    for name, reason in found.crashes.items():
+        _printing.note(f"{printable(name)}: {printable(reason)}")
     rows = (row for each in (found, *found.others) for row in each.rows)
     used = {each.row.topic for each in rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():

@@ -4,7 +4,7 @@ import re
 from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import field, replace
 from datetime import datetime
-from itertools import chain
+from itertools import chain, islice
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
@@ -21,7 +21,12 @@ from pqsec_pki.access import (
     topics_named,
     who_may_anywhere,
 )
-from pqsec_pki.documents import DomainRange, DomainSet
+from pqsec_pki.documents import (
+    DomainRange,
+    DomainSet,
+    governance_crashes,
+    grant_crashes,
+)
 from pqsec_pki.errors import meant
 from pqsec_pki.policy.fleet import Fleet
 from pqsec_pki.policy.participants import end_of_rights
@@ -60,6 +65,20 @@ class WhoMay:
         every = (each.row for each in self.rows)
         return [row.topic for row in every if len(row.topic) > MAX_NAME and not row.is_pattern]
 
+    @property
+    def crashes(self) -> dict[str, str]:
+        """What crashes some stack, which, and where, beside what is not answered therefore: of each
+        participant, and of the governance."""
+        told = {name for each in (self, *self.others) for name in each.unanswered}
+        of_all = () if told else governance_crashes(self.fleet.governance.domain_rules)
+        found = [("governance", of_all)]
+        found += [
+            (member.name, grant_crashes(member.permissions.grants))
+            for member in self.fleet.members
+            if member.name not in told
+        ]
+        return {name: str(each.problem) for name, them in found for each in islice(them, 1)}
+
     def to_json(self) -> dict[str, object]:
         """With one object for each row."""
         return {
@@ -71,6 +90,7 @@ class WhoMay:
             "until": self.until,
             "left_out": self.fleet.refused,
             "unanswered": self.unanswered,
+            "crashes": self.crashes,
             "topics": list(self.rows_as_json()),
             "unknown_topics": self.unknown,
             "others": [

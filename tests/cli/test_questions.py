@@ -1461,7 +1461,14 @@ def test_what_crashes_a_stack_is_neither_yes_nor_no(pqsec, keystore, crashing, c
     who = pqsec("who-may g.xml p.xml --as cyclonedds --json").done()
     assert file in who.json["unanswered"]["CN=/lab/alice"]
     assert "no answer by Cyclone DDS 0.10.2 for CN=/lab/alice" in who.err
-    assert pqsec("who-may g.xml p.xml --json").json["unanswered"] == {}
+    assert who.json["crashes"] == {}
+    by_standard = pqsec("who-may g.xml p.xml --json").done()
+    assert by_standard.json["unanswered"] == {}
+    [(whose, words)] = by_standard.json["crashes"].items()
+    assert whose == ("governance" if found.kind is Governance else "CN=/lab/alice")
+    assert words.startswith(f"line {found.line}: ")
+    assert "crashes Cyclone DDS 0.10.2" in words
+    assert f"note: {whose}: {words}" in by_standard.err
 
 
 def test_a_right_of_several_topics_is_not_known_if_one_is_not(pqsec, crashing):
@@ -1506,6 +1513,7 @@ def test_readers_differ_is_said_of_files_with_their_line(pqsec, crashing, tmp_pa
     said = pqsec(f"{FILES} --publish rt/chatter")
     assert (said.code, said.out[:14]) == (1, "READERS DIFFER")
     assert "p.xml:7" in said.out
+    assert "\nsame  " not in said.out  # readers that differ are not the same
     assert "p.xml:7" in pqsec("who-may g.xml p.xml --json").json["unanswered"]["CN=/lab/alice"]
     (tmp_path / "old.xml").write_bytes(PERMISSIONS)
     pqsec("diff old.xml p.xml").refused(1, "p.xml: line 7", "readers differ")
