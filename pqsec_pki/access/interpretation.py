@@ -10,7 +10,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._expressions import Budget
 from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access._subjects import IsFor
-from pqsec_pki.access._witnesses import is_wildcard
+from pqsec_pki.access._witnesses import is_plain
 from pqsec_pki.access.decision import Decision
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import (
@@ -147,7 +147,7 @@ class EvaluationContext:
     def has_topic(self, criteria: Criteria) -> bool:
         """Whether one of its patterns covers the topic."""
         topic = self.question.topic or ""
-        if topic in criteria.topics and not is_wildcard(topic):
+        if topic in criteria.topics and is_plain(topic):
             return True  # so with nearly all rights that a participant uses
         return any(self.interpretation.covers(pattern, topic) for pattern in criteria.topics)
 

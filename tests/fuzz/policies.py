@@ -24,6 +24,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
+from pqsec_pki.smime import document_in
 from tests.fuzz import documents, libcrypto, spoiling, stacks
 
 QUESTIONS = 50
@@ -120,8 +121,11 @@ class Decisions:
 
         PqsecError if a document is refused.
         """
-        governance, permissions, domain, *asked = libcrypto.unpacked(data)
-        pair = Governance.from_xml(governance), Permissions.from_xml(permissions)
+        governance, permissions, domain, *asked = libcrypto.unpacked(self._signed(data))
+        pair = (
+            Governance.from_xml(document_in(governance)),
+            Permissions.from_xml(document_in(permissions)),
+        )
         now = datetime.now(UTC)
         questions = [stacks.question_of(each, int(domain), now) for each in asked]
         return [(each, _letters(each, pair, questions)) for each in self._readings]
