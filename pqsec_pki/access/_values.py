@@ -104,9 +104,14 @@ def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
 
 
 def fastdds_flaw(_governance: Governance, permissions: Permissions) -> str:
-    """It refuses permissions with an empty topic, also one to relay (measured)."""
+    """It refuses permissions with an empty topic, also one to relay, and grants without a subject
+    (measured)."""
     topics = (topic for criteria in _criteria(permissions) for topic in criteria.topics)
-    return "Fast DDS refuses permissions with an empty topic" if any(map(is_blank, topics)) else ""
+    if any(map(is_blank, topics)):
+        return "Fast DDS refuses permissions with an empty topic"
+    if any(is_blank(grant.subject_name) for grant in permissions.grants):
+        return "Fast DDS refuses permissions with an empty subject_name"
+    return ""
 
 
 def opendds_flaw(governance: Governance, permissions: Permissions) -> str:
