@@ -5,17 +5,21 @@ import json
 import os
 import shutil
 import stat
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 
 import pytest
 
+from pqsec_pki._locks import lock
 from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.enrolment import (
     Bundle,
+    _own_folder,
+    credential_store,
     install,
     make_sealing_key,
     read_receipts,
@@ -24,6 +28,7 @@ from pqsec_pki.enrolment import (
     rollback,
     seal,
 )
+from pqsec_pki.enrolment._own_folder import locked, make_private
 from pqsec_pki.enrolment.credential_store import CredentialStore, changing
 from pqsec_pki.enrolment.trust import ROLES, pins_of
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
@@ -740,6 +745,35 @@ def test_two_at_once_do_not_mix(robot):
     with changing(robot), pytest.raises(KeystoreError, match="another pqsec command"):
         put(robot)
     put(robot)
+
+
+def test_a_command_that_is_refused_does_not_remove_the_folder_that_another_uses(robot, monkeypatch):
+    """Both found no folder. Of four enrolments at once, all failed in one run of many."""
+    with ExitStack() as other:
+
+        def made_and_locked_by_another(folder):
+            make_private(folder)
+            other.enter_context(locked(folder))
+
+        monkeypatch.setattr(credential_store, "make_private", made_and_locked_by_another)
+        with pytest.raises(KeystoreError, match="another pqsec command"), changing(robot):
+            pass
+        assert robot.is_dir()
+
+
+def test_a_folder_that_another_removed_meanwhile_is_in_use(tmp_path, monkeypatch):
+    folder = tmp_path / "new"
+    with pytest.raises(KeystoreError, match="another pqsec command"), locked(folder):
+        pass  # before it was opened
+
+    def locked_too_late(handle, kind):
+        folder.rmdir()
+        lock(handle, kind)
+
+    monkeypatch.setattr(_own_folder, "lock", locked_too_late)
+    make_private(folder)
+    with pytest.raises(KeystoreError, match="another pqsec command"), locked(folder):
+        pass
 
 
 # A place that is not as it was left
