@@ -747,8 +747,11 @@ def test_two_at_once_do_not_mix(robot):
     put(robot)
 
 
-def test_a_command_that_is_refused_does_not_remove_the_folder_that_another_uses(robot, monkeypatch):
+def test_a_command_that_is_refused_does_not_remove_the_folder_that_another_uses(
+    tmp_path, monkeypatch
+):
     """Both found no folder. Of four enrolments at once, all failed in one run of many."""
+    new = tmp_path / "new"
     with ExitStack() as other:
 
         def made_and_locked_by_another(folder):
@@ -756,9 +759,9 @@ def test_a_command_that_is_refused_does_not_remove_the_folder_that_another_uses(
             other.enter_context(locked(folder))
 
         monkeypatch.setattr(credential_store, "make_private", made_and_locked_by_another)
-        with pytest.raises(KeystoreError, match="another pqsec command"), changing(robot):
+        with pytest.raises(KeystoreError, match="another pqsec command"), changing(new):
             pass
-        assert robot.is_dir()
+        assert new.is_dir()
 
 
 def test_a_folder_that_another_removed_meanwhile_is_in_use(tmp_path, monkeypatch):
