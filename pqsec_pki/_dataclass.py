@@ -220,12 +220,13 @@ def _value(field: "dataclasses.Field[Any]") -> str:
 
 
 def _comparing(kind: _Kind, *, frozen: bool) -> _Methods:
-    """`__eq__` and `__hash__`, by the fields that are compared."""
+    """`__eq__` and `__hash__`, by the fields that are compared; `hash=False` leaves out one."""
 
     @cache
-    def values() -> Callable[[Any], Any]:
-        compared = [each.name for each in dataclasses.fields(kind) if each.compare]
-        return attrgetter(*compared) if compared else lambda _: ()
+    def values(*, hashing: bool = False) -> Callable[[Any], Any]:
+        fields = [each for each in dataclasses.fields(kind) if each.compare]
+        names = [each.name for each in fields if not hashing or each.hash is not False]
+        return attrgetter(*names) if names else lambda _: ()
 
     def equal(self: Any, other: object) -> Any:
         if other.__class__ is not self.__class__:
@@ -233,7 +234,7 @@ def _comparing(kind: _Kind, *, frozen: bool) -> _Methods:
         return values()(self) == values()(other)
 
     def hashed(self: Any) -> int:
-        return hash(values()(self))
+        return hash(values(hashing=True)(self))
 
     return {"__eq__": equal, "__hash__": hashed if frozen else None}
 

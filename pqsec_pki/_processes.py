@@ -60,7 +60,12 @@ def shared_out(work: Callable[..., Done], *columns: Sequence[Any]) -> list[Done]
     items = list(zip(*columns, strict=True))
     count = len(items) // LEAST
     if count <= 1 or (count := min(count, _cores())) == 1:
-        return [work(*item) for item in counted(items, len(items))]
+        results: list[Done] = []
+        with stage(len(items)) as here:  # not `counted`: an error would keep its generator open
+            for item in items:
+                results.append(work(*item))
+                here.add(1)
+        return results
     shares = [range(number, len(items), count) for number in range(count)]
 
     def do(share: Iterable[int]) -> list[Done] | _Failure:

@@ -10,7 +10,8 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.access._checks import reason_for_several
-    from pqsec_pki.access._patterns import opendds_reads_beyond
+    from pqsec_pki.access._patterns import follows_locale, opendds_reads_beyond
+    from pqsec_pki.access._topics import Topics
     from pqsec_pki.access.amending import (
         TopicRights,
         add_grant,
@@ -29,7 +30,7 @@ if TYPE_CHECKING:
         without_counterpart,
     )
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
-    from pqsec_pki.access.decision import Decision, Part, Protection
+    from pqsec_pki.access.decision import Decision, Markup, Part, Protection, Verdict
     from pqsec_pki.access.diff import permissions_diff
     from pqsec_pki.access.everywhere import (
         Placed,
@@ -47,6 +48,7 @@ if TYPE_CHECKING:
         CYCLONEDDS_11,
         FASTDDS,
         INTERPRETATIONS,
+        NAMES,
         OPENDDS,
         SPEC,
         interpretations_named,
@@ -65,6 +67,7 @@ __all__ = [
     "FASTDDS",
     "INTERPRETATIONS",
     "MAX_NAME",
+    "NAMES",
     "OPENDDS",
     "SPEC",
     "Action",
@@ -76,6 +79,7 @@ __all__ = [
     "DocumentOwner",
     "Interpretation",
     "InterpretedPolicy",
+    "Markup",
     "Part",
     "ParticipantDocuments",
     "Placed",
@@ -85,6 +89,8 @@ __all__ = [
     "TopicRight",
     "TopicRights",
     "TopicRow",
+    "Topics",
+    "Verdict",
     "Viewpoint",
     "add_grant",
     "add_rights",
@@ -94,6 +100,7 @@ __all__ = [
     "domains_named",
     "domains_said",
     "domains_ungoverned",
+    "follows_locale",
     "granted_topics",
     "interpretations_named",
     "is_known",

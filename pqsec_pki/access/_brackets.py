@@ -12,10 +12,13 @@ from typing import TypeAlias
 Bracket: TypeAlias = Callable[[str, int, str], tuple[int, int] | None]
 """A reader of brackets: takes the pattern, the place, and the escape character or an empty text."""
 
+Member: TypeAlias = tuple[str, str] | str
+"""The first and last character of a range, or the name of a class."""
+
 ANY = (1 << 256) - 1
 
 _PRINTED = string.ascii_letters + string.digits + string.punctuation
-_CLASSES = {
+CLASSES = {
     "alnum": string.ascii_letters + string.digits,
     "alpha": string.ascii_letters,
     "blank": " \t",
@@ -48,33 +51,49 @@ def between(low: str, high: str) -> int:
 
 
 def posix_bracket(pattern: str, place: int, escape: str) -> tuple[int, int] | None:
-    """The bracket as glibc reads it, without the collating symbols of other locales."""
+    """The bracket as glibc reads it in the C locale."""
+    found = posix_members(pattern, place, escape)
+    if found is None:
+        return None
+    negated, parts, end = found
+    members = 0
+    for each in parts:
+        members |= of(CLASSES[each]) if isinstance(each, str) else between(*each)
+    return members ^ (ANY * negated), end
+
+
+def posix_members(
+    pattern: str, place: int, escape: str
+) -> tuple[bool, tuple[Member, ...], int] | None:
+    """Whether the bracket is negated, its members, and the place after it, as glibc reads it.
+
+    Without the collating symbols of other locales. None if it is not closed.
+    """
     negated = pattern.startswith(("!", "^"), place)
     place += negated
-    begin, members = place, 0
+    begin, members = place, list[Member]()
     while place < len(pattern):
         if pattern[place] == "]" and place > begin:
-            return members ^ (ANY * negated), place + 1
-        found = _posix_members(pattern, place, escape)
+            return negated, tuple(members), place + 1
+        found = _posix_member(pattern, place, escape)
         if found is None:
-            return 0, len(pattern)  # with [[:nonsense:]] the whole pattern covers nothing
-        members |= found[0]
+            return False, (), len(pattern)  # with [[:nonsense:]] the whole pattern covers nothing
+        members.append(found[0])
         place = found[1]
     return None
 
 
-def _posix_members(pattern: str, place: int, escape: str) -> tuple[int, int] | None:
+def _posix_member(pattern: str, place: int, escape: str) -> tuple[Member, int] | None:
     """A class, a range or a character; None for an unknown class."""
     if named := _CLASS.match(pattern, place):
-        known = _CLASSES.get(named["name"])
-        return (of(known), named.end()) if known else None
+        return (named["name"], named.end()) if named["name"] in CLASSES else None
     if alike := _ALIKE.match(pattern, place):
-        return of(alike["character"]), alike.end()
+        return (alike["character"], alike["character"]), alike.end()
     low, place = _character(pattern, place, escape)
     if pattern.startswith("-", place) and pattern[place + 1 : place + 2] not in ("", "]"):
         high, place = _character(pattern, place + 1, escape)
-        return between(low, high), place
-    return of(low), place
+        return (low, high), place
+    return (low, low), place
 
 
 def _character(pattern: str, place: int, escape: str) -> tuple[str, int]:

@@ -3,8 +3,8 @@
 from bisect import bisect_left
 from collections.abc import Iterable
 
-from pqsec_pki.access._patterns import Covers, posix
-from pqsec_pki.access._witnesses import is_wildcard
+from pqsec_pki.access._patterns import SPECIAL, Covers, posix
+from pqsec_pki.access._witnesses import is_plain
 
 _LAST = "\U0010ffff"
 
@@ -20,7 +20,7 @@ class Names:
         """The names that one of the patterns covers."""
         found = set[str]()
         for pattern in patterns:
-            if is_wildcard(pattern):
+            if not is_plain(pattern):
                 found |= self.covered(pattern, covers)
             elif pattern in self._all:
                 found.add(pattern)
@@ -28,8 +28,8 @@ class Names:
 
     def covered(self, pattern: str, covers: Covers = posix) -> frozenset[str]:
         """The names that the pattern covers."""
-        if not is_wildcard(pattern):
+        if is_plain(pattern):
             return self._all & {pattern}
-        begin = pattern[: min(pattern.index(each) for each in "*?[\\" if each in pattern)]
+        begin = "" if pattern[:1].isspace() else SPECIAL.split(pattern, maxsplit=1)[0].rstrip()
         first, last = bisect_left(self.sorted, begin), bisect_left(self.sorted, begin + _LAST)
         return frozenset(name for name in self.sorted[first:last] if covers(pattern, name))

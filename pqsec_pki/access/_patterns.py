@@ -1,6 +1,7 @@
 """Whether a pattern covers a name, by the fnmatch of each stack.
 
-All compare UTF-8 octets, as fnmatch does in the C locale; `/` and a leading `.` are not special.
+All compare UTF-8 octets, as fnmatch does in the C locale (in UTF-8 locales: `_characters`). `/` and
+a leading `.` are not special.
 Cyclone DDS tries every way to divide a name among `*`, so a pattern such as `*a*a*a*a*b` can
 stop it for hours. Here the time is always linear in the pattern and in the name.
 """
@@ -22,7 +23,10 @@ _CACHED = 1 << 14
 LONGEST = 4 * MAX_NAME
 """Octets of a name. A pattern that needs more covers no name."""
 _STAR = -1
+_SPACE = " \t\v\r\n"
 SPECIAL = re.compile(r"[*?\[\\]")
+# ?, [!a], [[:alpha:]] and [é]. It stops at the next [, so that the search takes linear time.
+_OF_LOCALE = re.compile(r"\?|\[(?:[!^]|\]?[\x00-Z\\^-\x7f]*+(?:\[[:.=]|[^\x00-\x7f]))")
 
 
 def posix(pattern: str, name: str) -> bool:
@@ -35,14 +39,27 @@ def posix_without_escapes(pattern: str, name: str) -> bool:
     return _covers(_posix_without_escapes, pattern, name)
 
 
+def fastdds(pattern: str, name: str) -> bool:
+    """As Fast DDS 2.9.1 reads permissions: its XML parser reads white space alone as nothing."""
+    return posix_without_escapes(pattern if pattern.strip(_SPACE) else "", name)
+
+
 def either_way(pattern: str, name: str) -> bool:
     """StringMatching::matchString of Fast DDS: either argument may be the pattern (read)."""
     return posix_without_escapes(pattern, name) or posix_without_escapes(name, pattern)
 
 
 def cyclonedds(pattern: str, name: str) -> bool:
-    """ac_fnmatch of Cyclone DDS 0.10.2: no escapes, and brackets of its own (measured)."""
-    return _covers(_cyclonedds, pattern, name)
+    """ac_fnmatch of Cyclone DDS 0.10.2: no escapes, and brackets of its own (measured).
+
+    Its XML parser removes the white space around each value.
+    """
+    return _covers(_cyclonedds, pattern.strip(_SPACE), name)
+
+
+def follows_locale(pattern: str) -> bool:
+    """Whether fnmatch covers other names in a UTF-8 locale (`_characters`) than in C."""
+    return _OF_LOCALE.search(pattern) is not None
 
 
 class Compiled(NamedTuple):

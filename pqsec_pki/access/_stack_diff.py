@@ -8,6 +8,7 @@ from itertools import islice, product
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._rights import Dimensions
 from pqsec_pki.access.deciding import InterpretedPolicy
+from pqsec_pki.access.decision import Verdict
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import INTERPRETATIONS, SPEC, names_of
 from pqsec_pki.access.question import MAX_NAME, Action, Question
@@ -31,12 +32,12 @@ class StackChange:
     titles: tuple[str, ...]
     """The stack with each version for which it changed."""
     question: Question
-    allowed: bool
-    """The new answer."""
+    before: Verdict
+    after: Verdict
 
 
 def stack_changes(old: Grant, new: Grant, dimensions: Dimensions) -> Iterator[StackChange]:
-    """For each stack the first question that it now allows, and the first that it now denies.
+    """For each stack the first question that it now allows, denies, or crashes on.
 
     Versions of a stack for which the same answer changed are told together.
     """
@@ -47,29 +48,29 @@ def stack_changes(old: Grant, new: Grant, dimensions: Dimensions) -> Iterator[St
     alike = [
         each for each, (before, after) in _answers(old, new, questions, SPEC) if before == after
     ]
-    found: dict[tuple[str, Question, bool], list[Interpretation]] = {}
+    found: dict[tuple[str, Question, Verdict, Verdict], list[Interpretation]] = {}
     for interpretation in INTERPRETATIONS:
-        seen = set[bool]()
+        seen = set[Verdict]()
         for question, (before, after) in _answers(old, new, alike, interpretation):
             if before != after and after not in seen:
                 seen.add(after)
-                key = interpretation.stack, question, after
+                key = interpretation.stack, question, before, after
                 found.setdefault(key, []).append(interpretation)
-    for (_, question, allowed), rows in found.items():
+    for (_, question, before, after), rows in found.items():
         titles = tuple(row.title for row in rows)
-        yield StackChange(" and ".join(names_of(rows)), titles, question, allowed=allowed)
+        yield StackChange(" and ".join(names_of(rows)), titles, question, before, after)
 
 
 def _answers(
     old: Grant, new: Grant, questions: list[Question], interpretation: Interpretation
-) -> Iterator[tuple[Question, tuple[bool, bool]]]:
+) -> Iterator[tuple[Question, tuple[Verdict, Verdict]]]:
     governance = Governance.protected(_DOMAINS)
     before, after = (
         InterpretedPolicy(governance, Permissions(grants=(_in_force(grant),)), interpretation)
         for grant in (old, new)
     )
     for question in questions:
-        yield question, (before.decide(question).allowed, after.decide(question).allowed)
+        yield question, (before.decide(question).verdict, after.decide(question).verdict)
 
 
 def _questions(subject: str, dimensions: Dimensions) -> Iterator[Question]:

@@ -15,6 +15,7 @@ from pqsec_pki.errors import MalformedError
 IsFor: TypeAlias = Callable[[str, str], bool]
 """Arguments: the text of a grant's subject_name, and a subject. Whether the grant is for it."""
 
+_SPACE = " \t\r\n"
 _MOST_PARTS = 20
 """The most parts that Cyclone DDS keeps; a name with more parts matches no participant."""
 
@@ -40,7 +41,7 @@ def cyclonedds_11(named: str, subject: str) -> bool:
 
 
 def _has_pieces(named: str, subject: str, trimmed: Callable[[str], str]) -> bool:
-    pieces = [piece for piece in _cut(named) if piece]
+    pieces = [piece for piece in _cut(named.strip(_SPACE)) if piece]
     wanted = _cut("".join(map(_escaped, subject)))
     if wanted[-1] == "":
         wanted.pop()  # empty text after the last separator is not a piece
@@ -57,7 +58,8 @@ def _has_pieces(named: str, subject: str, trimmed: Callable[[str], str]) -> bool
 def fastdds(named: str, subject: str) -> bool:
     """rfc2253_string_compare of 2.9.1: the same parts in the same order (measured).
 
-    It ignores spaces around commas. 3.x also accepts the order of the certificate.
+    It ignores spaces around each part, but not line ends. 3.x also accepts the order of the
+    certificate.
     """
     return _parts(named) == _parts(subject)
 
@@ -75,7 +77,7 @@ def opendds(named: str, subject: str) -> bool:
 def _parsed(text: str) -> Subject:
     """Its parts; empty if it is not a subject name."""
     try:
-        return parse_subject(text)
+        return parse_subject(text.strip(_SPACE))
     except MalformedError:
         return ()
 

@@ -43,10 +43,25 @@ class Topics:
             Extent.SOME: f"some of {name}, such as {_quoted(self.such_as)}",
             Extent.OTHER: f"{self.what}s that no rule names, such as {_quoted(self.such_as)}",
         }[self.extent]
-        but = list(map(self._text, self.but))
-        if len(but) > MOST_SAID:
-            but[MOST_SAID - 1 :] = [f"{len(but) - MOST_SAID + 1} more"]
+        but = _few(map(self._text, self.but))
         return f"{words}, but none of {' and '.join(but)}" if but else words
+
+    @property
+    def short(self) -> str:
+        """The name or pattern without `what`, for a cell of a table."""
+        if not self.such_as:
+            return self.name
+        but = f" but not {' or '.join(_few(self.but))}" if self.but else ""
+        return f"{self.name or 'others'}{but} (such as {self.such_as})"
+
+    def to_json(self) -> dict[str, object]:
+        """The fields; `such_as` is a name, or None."""
+        return {
+            "name": self.name,
+            "extent": self.extent.value,
+            "such_as": self.such_as or None,
+            "but": list(self.but),
+        }
 
     def _text(self, name: str) -> str:
         if self.what == "topic":
@@ -126,6 +141,13 @@ class SampleNames:
             if covered & left and covered < within and not covered & chosen:
                 yield other
                 left -= covered
+
+
+def _few(names: Iterable[str]) -> list[str]:
+    some = list(names)
+    if len(some) > MOST_SAID:
+        some[MOST_SAID - 1 :] = [f"{len(some) - MOST_SAID + 1} more"]
+    return some
 
 
 def _quoted(name: str) -> str:

@@ -5,7 +5,7 @@ clock that is wrong by the zone's offset (read). Here both are taken to run on a
 """
 
 from collections.abc import Iterator
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 
 from pqsec_pki.access._patterns import opendds_reads_beyond
 from pqsec_pki.documents import (
@@ -17,11 +17,14 @@ from pqsec_pki.documents import (
     Grant,
     PermissionRule,
     Permissions,
+    is_blank,
 )
 
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 _LAST_SECOND = ((1 << 63) - 1) // 10**9
 """Cyclone DDS counts nanoseconds in 64 bits: April 2262."""
+_WIDEST_ZONE = timedelta(hours=12)
+"""Of Cyclone DDS; XML has zones up to 14:00."""
 
 
 def standard_includes(domains: DomainSet, domain: int) -> bool:
@@ -54,18 +57,27 @@ def standard_in_force(grant: Grant, now: datetime) -> bool:
 
 
 def fastdds_in_force(grant: Grant, now: datetime) -> bool:
-    """Like `standard_in_force`, but with a clock of whole seconds (read)."""
-    return standard_in_force(grant, now.replace(microsecond=0))
+    """As its times are written, whatever their zones, with a clock of whole seconds (measured)."""
+    clock, written = now.replace(microsecond=0, tzinfo=None), grant.written
+    begin, end = written.not_before, written.not_after
+    return begin.replace(tzinfo=None) <= clock <= end.replace(tzinfo=None)
 
 
 def cyclonedds_in_force(grant: Grant, now: datetime) -> bool:
-    """Between the two times; a time outside 1970 to 2262 counts as long past (measured)."""
-    return _seconds(grant.not_before) < (now - _EPOCH).total_seconds() < _seconds(grant.not_after)
+    """Between the two times.
+
+    A time outside 1970 to 2262 counts as long past, and one in a zone beyond 12:00 (measured).
+    """
+    begin, end = _seconds(grant.written.not_before), _seconds(grant.written.not_after)
+    return begin < (now - _EPOCH).total_seconds() < end
 
 
 def _seconds(time: datetime) -> float:
-    seconds = (time - _EPOCH).total_seconds()
-    return seconds if 0 <= seconds <= _LAST_SECOND else float("-inf")
+    """Since 1970; as long past where Cyclone DDS cannot read it."""
+    seconds, offset = (time - _EPOCH).total_seconds(), time.utcoffset() or timedelta()
+    written = seconds + offset.total_seconds()
+    readable = 0 <= min(seconds, written) <= max(seconds, written) <= _LAST_SECOND
+    return seconds if readable and abs(offset) <= _WIDEST_ZONE else float("-inf")
 
 
 def no_flaw(_governance: Governance, _permissions: Permissions) -> str:
@@ -74,22 +86,31 @@ def no_flaw(_governance: Governance, _permissions: Permissions) -> str:
 
 
 def cyclonedds_flaw(governance: Governance, permissions: Permissions) -> str:
-    """It refuses domains above 230 and empty ranges; an empty topic crashes it (measured)."""
+    """It refuses domains above 230, in governance ranges without domains, and grants without a
+    subject (measured)."""
     governed = [rule.domains for rule in governance.domain_rules]
     for domains in [*governed, *(rule.domains for rule in _rules(permissions))]:
         for part in _ranges(domains):
             if max(part.first, part.last or 0) > MAX_DOMAIN:
                 return f"Cyclone DDS refuses documents that name a domain above {MAX_DOMAIN}"
-    if any(_is_empty(part) for domains in governed for part in _ranges(domains)):
-        return "Cyclone DDS refuses governance with an empty range of domains"
-    return empty_topic_flaw(governance, permissions)
+    for part in (part for domains in governed for part in _ranges(domains)):
+        if _is_empty(part):
+            return "Cyclone DDS refuses governance with an empty range of domains"
+        if part.no_min:
+            return "Cyclone DDS refuses governance with a range of domains without <min>"
+    if not all(grant.subject_name for grant in permissions.grants):
+        return "Cyclone DDS refuses permissions with an empty subject_name"
+    return ""
 
 
-def empty_topic_flaw(governance: Governance, permissions: Permissions) -> str:
-    """Cyclone DDS, and Fast DDS 2.9.1 in governance, crash on an empty topic (measured)."""
+def fastdds_flaw(_governance: Governance, permissions: Permissions) -> str:
+    """It refuses permissions with an empty topic, also one to relay, and grants without a subject
+    (measured)."""
     topics = (topic for criteria in _criteria(permissions) for topic in criteria.topics)
-    if "" in _expressions(governance) or "" in topics:
-        return "an empty topic name stops or crashes the reader of the documents"
+    if any(map(is_blank, topics)):
+        return "Fast DDS refuses permissions with an empty topic"
+    if any(is_blank(grant.subject_name) for grant in permissions.grants):
+        return "Fast DDS refuses permissions with an empty subject_name"
     return ""
 
 

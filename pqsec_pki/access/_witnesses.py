@@ -42,6 +42,14 @@ def is_wildcard(pattern: str) -> bool:
     return SPECIAL.search(pattern) is not None
 
 
+def is_plain(pattern: str) -> bool:
+    """Whether it covers the name that it is and no other, in every reading.
+
+    White space around it belongs to the name for some stacks, and not for others.
+    """
+    return not is_wildcard(pattern) and pattern == pattern.strip()
+
+
 def witnesses(patterns: Iterable[str]) -> Witnesses:
     """Names for all sets of patterns that can cover a name, by fnmatch of POSIX."""
     each = dict.fromkeys(patterns)

@@ -1,19 +1,49 @@
 """The answer to a question about access."""
 
+from enum import StrEnum
 from typing import Self, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import (
+    Crash,
     Criteria,
     DomainRule,
     Grant,
+    Kind,
     PermissionRule,
     ProtectionKind,
     TopicRule,
 )
+from pqsec_pki.problems import Problem
 
-Part: TypeAlias = DomainRule | TopicRule | Grant | PermissionRule
+
+@dataclass(frozen=True, slots=True)
+class Markup:
+    """A value with a comment, a CDATA section or a processing instruction in it."""
+
+    document: Kind
+    line: int | None
+
+
+Part: TypeAlias = DomainRule | TopicRule | Grant | PermissionRule | Markup
 """A part of a document that can decide; each has its line."""
+
+
+class Verdict(StrEnum):
+    """The answer to a question about access; only for `yes` it is allowed."""
+
+    YES = "yes"
+    NO = "no"
+    CRASHES = "crashes"
+    """The stack's process ends when it uses the documents, its own or a peer's."""
+    READERS_DIFFER = "readers differ"
+    """Stacks read another value where the documents have markup in one."""
+
+    @property
+    def is_known(self) -> bool:
+        """Whether the stack answers."""
+        return self in {Verdict.YES, Verdict.NO}
+
 
 _HOW = {
     ProtectionKind.NONE: "in the clear: anyone on the network can read and forge it",
@@ -79,7 +109,7 @@ class Protection:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decision:
-    """Yes or no, and why.
+    """The verdict, and why.
 
     `decided_by` is the part of a document that decided: a rule, or a grant with its
     validity or its default. It is None if the answer is no because a part is missing.
@@ -87,16 +117,45 @@ class Decision:
     if no governance rule covers the question.
     """
 
-    allowed: bool
+    verdict: Verdict
     reason: str
     decided_by: Part | None = None
     criteria: Criteria | None = None
     protection: Protection | None = None
 
+    @property
+    def allowed(self) -> bool:
+        """Whether the verdict is yes."""
+        return self.verdict is Verdict.YES
+
+    @property
+    def yes_or_no(self) -> bool | None:
+        """Yes or no; None if the verdict is neither."""
+        return self.allowed if self.verdict.is_known else None
+
 
 def yes(reason: str, by: Part | None = None, criteria: Criteria | None = None) -> Decision:
-    return Decision(allowed=True, reason=reason, decided_by=by, criteria=criteria)
+    return Decision(verdict=Verdict.YES, reason=reason, decided_by=by, criteria=criteria)
 
 
 def no(reason: str, by: Part | None = None, criteria: Criteria | None = None) -> Decision:
-    return Decision(allowed=False, reason=reason, decided_by=by, criteria=criteria)
+    return Decision(verdict=Verdict.NO, reason=reason, decided_by=by, criteria=criteria)
+
+
+def crashes(found: Crash, title: str) -> Decision:
+    """The answer of the stack that `title` names."""
+    return Decision(
+        verdict=Verdict.CRASHES,
+        reason=f"{found.shape.what} crashes {title}; {found.shape.fix}",
+        decided_by=found.part,
+        criteria=found.criteria,
+    )
+
+
+def readers_differ(document: Kind, markup: Problem) -> Decision:
+    """The answer of every stack, about documents that are not read alike."""
+    return Decision(
+        verdict=Verdict.READERS_DIFFER,
+        reason=f"<{markup.element}>: {markup.message}",
+        decided_by=Markup(document, markup.line),
+    )

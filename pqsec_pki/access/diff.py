@@ -16,6 +16,7 @@ from pqsec_pki.access._rights import Dimensions, Rights, Whole, wholes
 from pqsec_pki.access._stack_diff import StackChange, stack_changes
 from pqsec_pki.access._topics import SampleNames, Topics
 from pqsec_pki.access.change import Change, Difference, Sense
+from pqsec_pki.access.decision import Verdict
 from pqsec_pki.access.question import Action
 from pqsec_pki.documents import Grant, Permissions, parse_subject
 from pqsec_pki.errors import MalformedError
@@ -141,10 +142,16 @@ def _of_stack(found: StackChange) -> Change:
     if partitions:
         where += f" in {' and '.join(partitions)}"
     what = f"{question.action}{topic} {where}"
+    stacks = " and ".join(found.titles)
+    text = f"in {stacks}, unlike the standard, for one: {what}"
+    if Verdict.CRASHES in {found.before, found.after}:
+        now = "now" if found.after is Verdict.CRASHES else "no longer"
+        text = f"the document {now} crashes {stacks}, for one: {what}"
+    senses = {found.before: Sense.TAKEN, found.after: Sense.GRANTED}
     return Change(
-        sense=Sense.GRANTED if found.allowed else Sense.TAKEN,
+        sense=senses.get(Verdict.YES, Sense.OTHER),
         subject=question.subject,
-        text=f"in {' and '.join(found.titles)}, unlike the standard, for one: {what}",
+        text=text,
         actions=(question.action,),
         domains=where,
         interpretation=found.name,

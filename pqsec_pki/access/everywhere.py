@@ -9,7 +9,9 @@ from pqsec_pki.access._domains import domain_set as domain_set  # noqa: PLC0414 
 from pqsec_pki.access._domains import domains_said as domains_said  # noqa: PLC0414 -- likewise
 from pqsec_pki.access._domains import stretches
 from pqsec_pki.access._index import Names
+from pqsec_pki.access._partitions import Partitions
 from pqsec_pki.access._patterns import SPECIAL, posix
+from pqsec_pki.access._topics import Extent, Topics
 from pqsec_pki.access._witnesses import is_wildcard, sample, witnesses
 from pqsec_pki.access.interpretation import Interpretation
 from pqsec_pki.access.interpretations import SPEC
@@ -18,8 +20,13 @@ from pqsec_pki.documents import DomainRange, DomainSet, Governance, Permissions
 
 _Users: TypeAlias = tuple[tuple[str, ...], tuple[str, ...]]
 """Participants that may publish a topic, and participants that may subscribe to it."""
-_Rows: TypeAlias = dict[_Users, tuple[int, ...]]
+_Key: TypeAlias = tuple[_Users, frozenset[str]]
+"""Users, and names of partitions in which they are those; none for the default partition."""
+_Rows: TypeAlias = dict[_Key, tuple[int, ...]]
 """Each with the numbers of the ranges of domains on which they are those."""
+
+
+_NOBODY: _Key = ((), ()), frozenset()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,17 +73,30 @@ def domains_ungoverned(governance: Governance, domains: DomainSet) -> list[Domai
     ]
 
 
+@dataclass(frozen=True, slots=True)
+class PlacedRows:
+    """Rows of the matrix. If it is not `complete`, a right may be missing that is only in some
+    partitions: too many sets of their patterns can cover a partition."""
+
+    rows: tuple[Placed, ...] = ()
+    complete: bool = True
+
+
 def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     governance: Governance,
     members: Sequence[DocumentOwner],
     topics: Iterable[str],
     *,
     domains: DomainSet | None = None,
+    partitions: tuple[str, ...] = (),
     now: datetime,
     interpretation: Interpretation = SPEC,
     asked: Mapping[str, str | None],
-) -> tuple[Placed, ...]:
+) -> PlacedRows:
     """For each topic the different rows of the matrix, each with its domains.
+
+    With `partitions`, for an endpoint in all of them. Without, for the default partition; then
+    other partitions have rows too, if somebody may there what they may not in the default one.
 
     Looks at those `domains` that the governance names; None means all that it names. Domains on
     which no participant may use the topic are left out. If no domain is left, the topic has one
@@ -89,23 +109,52 @@ def who_may_anywhere(  # noqa: PLR0913 -- what is asked, by name
     if domains is not None:
         apart = governed = tuple(each for each in governed if each.first in domains)
     if not governed:
-        return ()
+        return PlacedRows()
     asked = samples(members, topics, asked)
     matrix = Matrix(governance, members, asked.values(), now=now, interpretation=interpretation)
-    found = _rows_of(matrix, asked, apart)
-    nobody: _Rows = {((), ()): tuple(map(apart.index, governed))}
+    beyond = None if partitions else Partitions(matrix)
+    found = _rows_of(matrix, asked, apart, partitions, beyond)
+    nobody: _Rows = {_NOBODY: tuple(map(apart.index, governed))}
     sets: dict[tuple[int, ...], DomainSet] = {}
     for where in {where for rows in (*found.values(), nobody) for where in rows.values()}:
         sets[where] = domain_set([apart[number] for number in where])
-    return tuple(
-        Placed(row=_row(topic, asked[topic], who), domains=sets[where])
-        for topic, rows in found.items()
-        for who, where in (rows or nobody).items()
+    described = _described(found, partitions, beyond)
+    rows = tuple(
+        Placed(
+            row=TopicRow(
+                topic=topic,
+                asked=asked[topic],
+                publishers=who[0],
+                subscribers=who[1],
+                partitions=described[names],
+                asked_in=(min(names),) if names else partitions,
+            ),
+            domains=sets[where],
+        )
+        for topic, placed in found.items()
+        for (who, names), where in (placed or nobody).items()
     )
+    return PlacedRows(rows, complete=beyond is None or beyond.complete)
+
+
+def _described(
+    found: Mapping[str, _Rows], partitions: tuple[str, ...], beyond: Partitions | None
+) -> dict[frozenset[str], tuple[Topics, ...]]:
+    """The partitions of each key; without names, those that were asked about."""
+    asked_in = tuple(Topics(name=each, extent=Extent.ONE) for each in partitions)
+    described = {frozenset[str](): asked_in}
+    if beyond:
+        named = {names for rows in found.values() for _, names in rows if names}
+        described |= {names: beyond.described(names) for names in named}
+    return described
 
 
 def _rows_of(
-    matrix: Matrix, asked: Mapping[str, str | None], apart: Sequence[DomainRange]
+    matrix: Matrix,
+    asked: Mapping[str, str | None],
+    apart: Sequence[DomainRange],
+    partitions: tuple[str, ...],
+    beyond: Partitions | None,
 ) -> dict[str, _Rows]:
     """The rows of each topic, which the matrix knows by the sample in `asked`."""
     of_sample: dict[str | None, list[str]] = {}
@@ -113,16 +162,17 @@ def _rows_of(
         of_sample.setdefault(name, []).append(topic)
     found: dict[str, _Rows] = {topic: {} for topic in asked}
     for number, stretch in enumerate(apart):
-        users = matrix.users(stretch.first)
-        for name in users.topics:
-            who = users.of(name)
+        users = matrix.users(stretch.first, partitions)
+        here: dict[tuple[str, _Users], set[str]] = {
+            (name, users.of(name)): set() for name in users.topics
+        }
+        for name, partition, who in beyond.only_there(stretch.first, users) if beyond else ():
+            here.setdefault((name, who), set()).add(partition)
+        for (name, who), names in here.items():
             for topic in of_sample[name]:
-                found[topic][who] = (*found[topic].get(who, ()), number)
+                key = who, frozenset(names)
+                found[topic][key] = (*found[topic].get(key, ()), number)
     return found
-
-
-def _row(topic: str, asked: str | None, who: _Users) -> TopicRow:
-    return TopicRow(topic=topic, asked=asked, publishers=who[0], subscribers=who[1])
 
 
 def topics_asked(members: Sequence[DocumentOwner], topics: Iterable[str]) -> dict[str, str | None]:

@@ -1,6 +1,6 @@
 """What an interpretation of the documents consists of, and what a check receives."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
@@ -10,10 +10,11 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._expressions import Budget
 from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access._subjects import IsFor
-from pqsec_pki.access._witnesses import is_wildcard
+from pqsec_pki.access._witnesses import is_plain
 from pqsec_pki.access.decision import Decision
 from pqsec_pki.access.question import Action, Question
 from pqsec_pki.documents import (
+    Crash,
     Criteria,
     DomainRule,
     DomainSet,
@@ -42,7 +43,8 @@ class Interpretation:
     """
 
     name: str
-    """The value of `--as`: a stack, and after `@` its version if a stack has several rows."""
+    """The value of `--as`: a stack, after `@` its version if a stack has several rows, and after
+    `/` the locale of its matching if it is for that locale only."""
     title: str
     """The standard or stack, with the version that it was compared with."""
     covers: Covers
@@ -58,30 +60,46 @@ class Interpretation:
     partitions_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
     tags_met: "Callable[[EvaluationContext, Criteria, PermissionRule], bool]"
     flaw: Callable[[Governance, Permissions], str]
-    """Why the stack cannot read these documents; empty if it can."""
+    """Why the stack refuses these documents as a whole; empty if it does not."""
     builtin: frozenset[str] = frozenset()
     """Topics that are open to all because of their names."""
+    locales: "tuple[Interpretation, ...]" = ()
+    """If its matching follows the locale of the process: as it is in C and in C.UTF-8. This row is
+    as in C, which is the locale of a process that never called setlocale."""
     join: "dict[Viewpoint, tuple[Check, ...]]"
     use: "dict[Viewpoint, tuple[Check, ...]]"
 
     @property
     def stack(self) -> str:
         """The name of the stack, or of the standard."""
-        return self.name.partition("@")[0]
+        return self.name.partition("/")[0].partition("@")[0]
 
     @property
     def version(self) -> str:
         """The versions of the stack for which it holds, such as 11.0; empty if it has one row."""
-        return self.name.partition("@")[2]
+        return self.name.partition("/")[0].partition("@")[2]
+
+    @property
+    def locale(self) -> str:
+        """The locale for which alone it holds; empty for all."""
+        return self.name.partition("/")[2]
+
+    def crash_in(self, crashes: Iterable[Crash]) -> Crash | None:
+        """The first of them that crashes the stack."""
+        ours = (each for each in crashes if each.shape.crashes(self.stack, self.version))
+        return next(ours, None)
 
     def grant_for(self, permissions: Permissions, question: Question) -> Grant | None:
         """The grant that applies to the subject, if there is one."""
-        own = [
-            each for each in permissions.grants if self.is_for(each.subject_name, question.subject)
-        ]
+        own = [each for each in permissions.grants if self.is_for(_named(each), question.subject)]
         if self.skips_grants_out_of_force:
             own.sort(key=lambda each: not self.in_force(each, question.now))
         return own[0] if own else None
+
+
+def _named(grant: Grant) -> str:
+    """Its subject as its document has it."""
+    return grant.written.subject_name if grant.spelling else grant.subject_name
 
 
 @dataclass(slots=True, kw_only=True, eq=False)  # not frozen: a fleet has thousands for each answer
@@ -129,7 +147,7 @@ class EvaluationContext:
     def has_topic(self, criteria: Criteria) -> bool:
         """Whether one of its patterns covers the topic."""
         topic = self.question.topic or ""
-        if topic in criteria.topics and not is_wildcard(topic):
+        if topic in criteria.topics and is_plain(topic):
             return True  # so with nearly all rights that a participant uses
         return any(self.interpretation.covers(pattern, topic) for pattern in criteria.topics)
 

@@ -10,7 +10,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from itertools import groupby
 
-from pqsec_pki.access import _criteria, _patterns, _stacks, _subjects, _values
+from pqsec_pki.access import _characters, _criteria, _patterns, _stacks, _subjects, _values
 from pqsec_pki.access._checks import (
     endpoint,
     governed,
@@ -18,6 +18,7 @@ from pqsec_pki.access._checks import (
     own_participant,
     remote_participant,
 )
+from pqsec_pki.access._patterns import Covers
 from pqsec_pki.access.interpretation import Check, Interpretation, Viewpoint
 from pqsec_pki.errors import UsageError
 from pqsec_pki.stacks import Stack
@@ -27,7 +28,20 @@ def _both(*checks: Check) -> dict[Viewpoint, tuple[Check, ...]]:
     return dict.fromkeys(Viewpoint, checks)
 
 
-SPEC = Interpretation(
+def _in_locales(row: Interpretation, covers: Covers, governs: Covers) -> Interpretation:
+    """The row, with one for C and, with these functions, one for C.UTF-8."""
+    plain = replace(row, name=f"{row.name}/C", title=f"{row.title} in C")
+    wide = replace(
+        row,
+        name=f"{row.name}/C.UTF-8",
+        title=f"{row.title} in C.UTF-8",
+        covers=covers,
+        governs=governs,
+    )
+    return replace(row, locales=(plain, wide))
+
+
+_SPEC = Interpretation(
     name="spec",
     title="DDS-Security 1.1",
     covers=_patterns.posix,
@@ -46,6 +60,8 @@ SPEC = Interpretation(
     },
     use=_both(endpoint),
 )
+
+SPEC = _in_locales(_SPEC, _characters.posix, _characters.posix)
 
 CYCLONEDDS = Interpretation(
     name=f"{Stack.CYCLONEDDS}@0.10",
@@ -76,10 +92,10 @@ CYCLONEDDS_11 = replace(
     use=_both(_stacks.cyclonedds_11_topic, _stacks.cyclonedds_endpoint),
 )
 
-FASTDDS = Interpretation(
+_FASTDDS = Interpretation(
     name=Stack.FASTDDS.value,
     title=f"{Stack.FASTDDS.product} 2.9.1",
-    covers=_patterns.posix_without_escapes,
+    covers=_patterns.fastdds,
     governs=_patterns.either_way,
     is_for=_subjects.fastdds,
     includes=_values.fastdds_includes,
@@ -88,7 +104,7 @@ FASTDDS = Interpretation(
     knows_relay=True,
     partitions_met=_criteria.cyclonedds_partitions,
     tags_met=_criteria.no_tags,
-    flaw=_values.empty_topic_flaw,
+    flaw=_values.fastdds_flaw,
     # A domain that governance does not name is treated as one with join access control.
     join={
         Viewpoint.OWN: (in_force, _stacks.fastdds_own_participant),
@@ -99,6 +115,8 @@ FASTDDS = Interpretation(
         Viewpoint.PEER: (_stacks.fastdds_remote_endpoint,),
     },
 )
+
+FASTDDS = _in_locales(_FASTDDS, _characters.posix_without_escapes, _characters.either_way)
 
 OPENDDS = Interpretation(
     name=Stack.OPENDDS.value,
@@ -124,6 +142,12 @@ OPENDDS = Interpretation(
 INTERPRETATIONS = (SPEC, CYCLONEDDS, CYCLONEDDS_11, FASTDDS, OPENDDS)
 """The rows of a stack are neighbours, the oldest version first."""
 
+NAMES = (
+    *dict.fromkeys(name for row in INTERPRETATIONS for name in (row.stack, row.name)),
+    *(each.name for row in INTERPRETATIONS for each in row.locales),
+)
+"""All values of `--as`."""
+
 
 _VERSION = re.compile(r"[0-9]+(\.[0-9]+)*")
 
@@ -141,16 +165,18 @@ def names_of(rows: Collection[Interpretation]) -> list[str]:
 def interpretations_named(name: str) -> tuple[Interpretation, ...]:
     """The row of a stack and version, such as `cyclonedds@11.0`; all of its rows for `cyclonedds`.
 
-    UsageError, with all names, if there is none.
+    `fastdds/C.UTF-8` is the row for that locale. UsageError, with all names, if there is none.
     """
-    stack, at, version = name.partition("@")
+    known, slash, locale = name.partition("/")
+    stack, at, version = known.partition("@")
     rows = tuple(row for row in INTERPRETATIONS if row.stack == stack)
     if at:
         rows = tuple(row for row in rows if _is_of(version, row.version))
+    if slash:
+        rows = tuple(each for row in rows for each in row.locales if each.locale == locale)
     if not rows:
-        names = dict.fromkeys(name for row in INTERPRETATIONS for name in (row.stack, row.name))
         raise UsageError(
-            f"'{name}' is not an interpretation", hint=f"choose from {', '.join(names)}"
+            f"'{name}' is not an interpretation", hint=f"choose from {', '.join(NAMES)}"
         )
     return rows
 

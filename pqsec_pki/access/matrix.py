@@ -7,6 +7,7 @@ from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access._index import Names
+from pqsec_pki.access._topics import Topics
 from pqsec_pki.access._witnesses import is_wildcard, sample
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.interpretation import Interpretation
@@ -34,13 +35,25 @@ class TopicRow:
     """Who may use a topic, by name.
 
     For a pattern, `asked` is the topic that the question was about: one that the pattern covers,
-    if possible one that no rule names; None if none was found.
+    if possible one that no rule names; None if none was found. `asked_in` are the partitions of
+    that question, empty for the default partition. The answer holds in each of `partitions`; if
+    the question was about several partitions, in all of them together.
     """
 
     topic: str
     asked: str | None
     publishers: tuple[str, ...]
     subscribers: tuple[str, ...]
+    partitions: tuple[Topics, ...] = ()
+    asked_in: tuple[str, ...] = ()
+
+    @property
+    def where(self) -> str:
+        """The partitions in words; empty for the default partition."""
+        if not self.asked_in:
+            return ""
+        joined = " and " if len(self.asked_in) > 1 else ", "
+        return joined.join(each.short or "(default)" for each in self.partitions)
 
     @property
     def is_pattern(self) -> bool:
@@ -109,13 +122,21 @@ class TopicUsers:
         """The topics, each once."""
         return self.publishers | self.subscribers
 
+    def add(self, name: str, uses: Iterable[tuple[tuple[Action, ...], Iterable[str]]]) -> None:
+        """Add a participant, by the result of `Matrix.uses`."""
+        for actions, topics in uses:
+            for action in actions:
+                found = self.publishers if action is Action.PUBLISH else self.subscribers
+                for topic in topics:
+                    found.setdefault(topic, []).append(name)
+
     def of(self, topic: str) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """Who may publish the topic, and who may subscribe to it."""
         return tuple(self.publishers.get(topic, ())), tuple(self.subscribers.get(topic, ()))
 
 
 @dataclass(slots=True)
-class _MatrixMember:
+class MatrixMember:
     """A participant with the grant that applies to it."""
 
     name: str
@@ -147,7 +168,7 @@ class Matrix:
         now: datetime,
         interpretation: Interpretation,
     ) -> None:
-        self._now, self._interpretation = now, interpretation
+        self._now, self.interpretation = now, interpretation
         # RTPS allows no longer topic: there is no answer for one.
         self._known = Names(name for name in names if name and len(name) <= MAX_NAME)
         rules = [each for rule in governance.domain_rules for each in rule.topic_rules]
@@ -163,36 +184,34 @@ class Matrix:
             self._of_kind.setdefault(kind, []).append(name)
         self._joins: dict[object, bool] = {}
         self._actions: dict[object, tuple[Action, ...]] = {}
-        self._members = list(self._applicable(governance, members))
+        self.members = list(self._applicable(governance, members))
 
     def _applicable(
         self, governance: Governance, owners: Iterable[DocumentOwner]
-    ) -> Iterator[_MatrixMember]:
+    ) -> Iterator[MatrixMember]:
         """The participants to which a grant applies; the others have no rights."""
         outlines: dict[object, int] = {}
         for each in owners:
-            policy = InterpretedPolicy(governance, each.permissions, self._interpretation)
+            policy = InterpretedPolicy(governance, each.permissions, self.interpretation)
             join = Question(subject=each.subject, domain=0, action=Action.JOIN, now=self._now)
             if grant := policy.grant(join):
-                is_in_force = self._interpretation.in_force(grant, self._now)
+                is_in_force = self.interpretation.in_force(grant, self._now)
                 outline = is_in_force, grant.default, tuple(map(_outline, grant.rules))
                 number = outlines.setdefault(outline, len(outlines))
-                yield _MatrixMember(each.name, policy, join, grant, number)
+                yield MatrixMember(each.name, policy, join, grant, number)
 
-    def users(self, domain: int) -> TopicUsers:
-        """Who may use which of the topics on that domain, with the members in their order."""
-        publishers: dict[str, list[str]] = {}
-        subscribers: dict[str, list[str]] = {}
-        for member in self._members:
-            for actions, topics in self._uses(member, domain):
-                for action in actions:
-                    found = publishers if action is Action.PUBLISH else subscribers
-                    for topic in topics:
-                        found.setdefault(topic, []).append(member.name)
-        return TopicUsers(publishers, subscribers)
+    def users(self, domain: int, partitions: tuple[str, ...] = ()) -> TopicUsers:
+        """Who may use which of the topics on that domain, with the members in their order.
 
-    def _uses(
-        self, member: _MatrixMember, domain: int
+        With endpoints that are in all of these partitions, or in the default partition.
+        """
+        found = TopicUsers({}, {})
+        for member in self.members:
+            found.add(member.name, self.uses(member, domain, partitions))
+        return found
+
+    def uses(
+        self, member: MatrixMember, domain: int, partitions: tuple[str, ...]
     ) -> Iterator[tuple[tuple[Action, ...], Iterable[str]]]:
         """Pairs of actions and the topics for which this member may do them."""
         key = member.outline, domain
@@ -202,37 +221,37 @@ class Matrix:
             return
         covering = self._covering(member)
         for (kind, numbers), names in member.alike.items():
-            if actions := self._allowed(member, domain, kind, numbers, names):
+            if actions := self._allowed(member, (domain, partitions), kind, numbers, names):
                 yield actions, names
         for kind, names in self._of_kind.items():
-            if actions := self._allowed(member, domain, kind, (), names):
+            if actions := self._allowed(member, (domain, partitions), kind, (), names):
                 yield actions, [name for name in names if name not in covering]
 
     def _allowed(
         self,
-        member: _MatrixMember,
-        domain: int,
+        member: MatrixMember,
+        place: tuple[int, tuple[str, ...]],
         kind: _Kind,
         numbers: _Covering,
         names: Iterable[str],
     ) -> tuple[Action, ...]:
         """The allowed actions of such a member for such topics; `names` has some, and others."""
-        key = member.outline, domain, kind, numbers
+        key = member.outline, place, kind, numbers
         if key not in self._actions:
             covering = self._covering(member)
             one = next((name for name in names if covering.get(name, ()) == numbers), None)
             if one is None:
                 return ()  # there is no such topic
-            join = replace(member.join, domain=domain)
+            join = replace(member.join, domain=place[0], partitions=place[1])
             self._actions[key] = tuple(action for action, _ in member.policy.uses(join, [one]))
         return self._actions[key]
 
-    def _covering(self, member: _MatrixMember) -> dict[str, _Covering]:
+    def _covering(self, member: MatrixMember) -> dict[str, _Covering]:
         """The topics that this member's criteria cover; it also groups them."""
         if member.covering is None:
             found: dict[str, _Covering] = {}
-            for number, criteria in enumerate(_criteria(member.grant)):
-                for name in self._known.covered_by(criteria.topics, self._interpretation.covers):
+            for number, criteria in enumerate(criteria_of(member.grant)):
+                for name in self._known.covered_by(criteria.topics, self.interpretation.covers):
                     found[name] = (*found.get(name, ()), number)
             for name, numbers in found.items():
                 member.alike.setdefault((self._kind[name], numbers), []).append(name)
@@ -240,7 +259,8 @@ class Matrix:
         return member.covering
 
 
-def _criteria(grant: Grant) -> Iterator[Criteria]:
+def criteria_of(grant: Grant) -> Iterator[Criteria]:
+    """All criteria of its rules."""
     for rule in grant.rules:
         yield from (*rule.publish, *rule.subscribe, *rule.relay)
 

@@ -1,7 +1,7 @@
 """Certificates, keys, revocation lists and signatures as assets. No key's bits are in them."""
 
 import hashlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Hashable, Iterable, Iterator
 
 from cyclonedx.model.bom_ref import BomRef
 from cyclonedx.model.crypto import (
@@ -25,7 +25,13 @@ from pqsec_pki._asn1 import (
 from pqsec_pki.algorithms import SignatureAlgorithm, load_public_key
 from pqsec_pki.cbom import _algorithms
 from pqsec_pki.cbom._assets import Asset, Assets, bom_ref
-from pqsec_pki.certificates import Certificate, CertificateRequest, RevocationList, name_text
+from pqsec_pki.certificates import (
+    Certificate,
+    CertificateRequest,
+    RevocationList,
+    canonical_name,
+    name_text,
+)
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.inspection import algorithm_name
 from pqsec_pki.smime import ListedSigner
@@ -40,23 +46,23 @@ class Issuers:
     """The key algorithms of those who sign, as far as their certificates are known."""
 
     def __init__(self, certificates: Iterable[Certificate]) -> None:
-        self._by_name: dict[bytes, set[SignatureAlgorithm | None]] = {}
-        self._by_serial: dict[tuple[str, int], SignatureAlgorithm | None] = {}
+        self._by_name: dict[Hashable, set[SignatureAlgorithm | None]] = {}
+        self._by_serial: dict[tuple[Hashable, int], SignatureAlgorithm | None] = {}
         for each in certificates:
             row = _row_of(each.spki)
-            self._by_name.setdefault(each.subject_der, set()).add(row)
-            self._by_serial[name_text(each.issuer), each.serial_number] = row
+            self._by_name.setdefault(canonical_name(each.subject_der), set()).add(row)
+            self._by_serial[canonical_name(each.issuer_der), each.serial_number] = row
 
     def named(self, subject_der: bytes) -> SignatureAlgorithm | None:
         """The algorithm of the keys of that subject; None if unknown, or not the same for all."""
-        found = self._by_name.get(subject_der, set())
+        found = self._by_name.get(canonical_name(subject_der), set())
         return next(iter(found)) if len(found) == 1 else None
 
     def of(self, signer: ListedSigner) -> SignatureAlgorithm | None:
         """The algorithm of the key of a CMS signer; None if unknown."""
-        if signer.issuer is None or signer.serial_number is None:
+        if signer.issuer_der is None or signer.serial_number is None:
             return None
-        return self._by_serial.get((signer.issuer, signer.serial_number))
+        return self._by_serial.get((canonical_name(signer.issuer_der), signer.serial_number))
 
 
 def add_certificate(assets: Assets, certificate: Certificate, place: str, issuers: Issuers) -> str:

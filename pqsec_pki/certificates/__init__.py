@@ -10,6 +10,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.certificates._alternative import alternative_attributes
     from pqsec_pki.certificates._names import name_text
+    from pqsec_pki.certificates._rdns import canonical_name, read_name, same_name
     from pqsec_pki.certificates._sequence import SEQUENCE_NUMBER, read_sequence_number
     from pqsec_pki.certificates.authority import (
         BACKDATE,
@@ -44,12 +45,15 @@ __all__ = [
     "RevocationList",
     "RevokedCertificate",
     "alternative_attributes",
+    "canonical_name",
     "certificate_request",
     "common_name",
     "end_of",
     "name_text",
+    "read_name",
     "read_sequence_number",
     "revocation_list",
+    "same_name",
     "verify_authority",
     "verify_chain",
     "verify_not_revoked",

@@ -14,7 +14,8 @@ from cryptography.x509.oid import NameOID
 from pqsec_pki._asn1 import Oid, encode
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._der import begins, content, elements
-from pqsec_pki.certificates._rdns import ReadAttribute, canonical
+from pqsec_pki.certificates._plain import MINIMUM_0
+from pqsec_pki.certificates._rdns import ReadAttribute, canonical_name
 from pqsec_pki.certificates.certificate import Certificate
 
 _HOST = re.compile(r"(?a)(?!.*(?:\.\.|-\.|\.-))\w[\w.-]*\.[\w.-]*\w")
@@ -97,8 +98,8 @@ def _alternative(name: x509.GeneralName) -> _Name:
 
 
 def _in_directory(name: bytes, base: x509.Name) -> bool:
-    start = canonical(base.public_bytes())
-    return canonical(name)[: len(start)] == start
+    start = canonical_name(base.public_bytes())
+    return canonical_name(name)[: len(start)] == start
 
 
 def _in_domain(name: str, base: str) -> bool:
@@ -143,7 +144,8 @@ def _has_bounds(authority: Certificate) -> bool:
             octets = elements(each, None, "extension")[-1]
             kinds = elements(content(octets), None, "nameConstraints")
             subtrees = [tree for kind in kinds for tree in _members(kind)]
-            return any(len(elements(tree, None, "subtree")) > 1 for tree in subtrees)
+            bounds = (each for tree in subtrees for each in elements(tree, None, "subtree")[1:])
+            return any(each != MINIMUM_0 for each in bounds)
     return False
 
 

@@ -15,7 +15,7 @@ from pqsec_pki._asn1 import NameHolder, Oid, decode, encode, plain_words
 from pqsec_pki._der import content, sequence_of
 from pqsec_pki.errors import MalformedError, library_call
 
-_NUMERIC, _UTF8, _BMP, _BITS = 0x12, 0x0C, 0x1E, 0x03
+_NUMERIC, _UTF8, _BMP, _BITS, _SET = 0x12, 0x0C, 0x1E, 0x03, 0x31
 _CODECS = {
     _UTF8: "utf-8",
     _NUMERIC: "latin-1",
@@ -54,15 +54,30 @@ def read_name(der: bytes) -> x509.Name:
         )
 
 
+def plain_name(der: bytes) -> bytes:
+    """The same name in DER, with UTF8Strings, for cryptography; MalformedError as read_name."""
+    return sequence_of(
+        sequence_of(sorted(_plain_attribute(oid, value) for oid, value in rdn), _SET)
+        for rdn in _rdns(der)
+    )
+
+
+def _plain_attribute(oid: Oid, der: bytes) -> bytes:
+    value = _value(der)
+    if isinstance(value, str) and der[0] != _NUMERIC:  # which no other string is equal to
+        der = sequence_of([value.encode()], _UTF8)
+    return sequence_of([encode(oid), der])
+
+
 def same_name(one: bytes, other: bytes) -> bool:
     """Whether two DER Names are the same name (RFC 5280 7.1), as OpenSSL compares them.
 
     Case of ASCII letters, the type of a string and the number of spaces do not matter.
     """
-    return one == other or canonical(one) == canonical(other)
+    return one == other or canonical_name(one) == canonical_name(other)
 
 
-def canonical(der: bytes) -> Canonical:
+def canonical_name(der: bytes) -> Canonical:
     """The DER Name in a form that is equal for the same names; MalformedError as read_name."""
     return tuple(frozenset(_canonical(oid, value) for oid, value in rdn) for rdn in _rdns(der))
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from pqsec_pki._times import said
-from pqsec_pki.access import reason_for_several
+from pqsec_pki.access import Verdict, reason_for_several
 from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import ros
 from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Use
@@ -11,7 +11,7 @@ from pqsec_pki.policy import Answer, DomainsAnswer, PolicyInput, RightAnswer, Us
 
 def right_lines(found: RightAnswer) -> Iterator[str]:
     """One line for each topic; those that are denied for one reason are together, before it."""
-    word = "YES" if found.allowed else "NO"
+    word = found.word.upper()
     ends = [end for use in found.uses if (end := use.until(found.policy_input))]
     until = f", until {said(min(ends))}" if found.allowed and ends else ""
     what = f"{printable(found.policy_input.who)}: {printable(found.right.words)}"
@@ -67,11 +67,12 @@ def lines_of(policy_input: PolicyInput, finding: DomainsAnswer) -> Iterator[str]
 
 def _compared(policy_input: PolicyInput, answer: Answer, others: list[Answer]) -> Iterator[str]:
     alike = [other.interpretation.title for other in others if not other.differs(answer)]
-    if alike:
+    if alike and answer.decision.verdict is not Verdict.READERS_DIFFER:
         yield f"same  {', '.join(alike)}"
     for other in others:
         if other.differs(answer):
-            yield f"{other.word.upper():<4}  {other.interpretation.title} decides differently"
+            different = " decides differently" if other.is_known else ""
+            yield f"{other.word.upper():<4}  {other.interpretation.title}{different}"
             yield from _why(policy_input, other, "      ")
         elif other.disagreement:
             yield f"note  {other.interpretation.title}: {other.disagreement}"

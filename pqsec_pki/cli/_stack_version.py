@@ -2,7 +2,7 @@
 
 import click
 
-from pqsec_pki.access import INTERPRETATIONS, interpretations_named
+from pqsec_pki.access import NAMES, interpretations_named
 from pqsec_pki.errors import UsageError
 
 
@@ -10,8 +10,7 @@ class StackVersion(click.Choice):  # type: ignore[type-arg] # generic in newer c
     """The names of `pqsec_pki.access.interpretations_named`, also such as cyclonedds@11.0.1."""
 
     def __init__(self) -> None:
-        names = (name for row in INTERPRETATIONS for name in (row.stack, row.name))
-        super().__init__(list(dict.fromkeys(names)))
+        super().__init__(NAMES)
 
     def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
         """The value; BadParameter if no row is for it."""

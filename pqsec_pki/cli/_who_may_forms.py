@@ -11,19 +11,32 @@ from pqsec_pki.policy import Flow
 
 _MOST = 6
 """The most names in a cell of the text table."""
+_DEFAULT = "(default)"
+"""The default partition, whose name is empty."""
 _MARKDOWN = re.compile(r"([\\`*_\[\]<>|~&$#!])")
 
 
 def flow_lines(flows: Sequence[Flow]) -> list[str]:
     """A table with a row for each sender and its receivers, in the words of ROS 2."""
+    is_split = any(each.where for each in flows)
     cells = (
         (
             *(printable(each.sender), _names(each.receivers), str(each.domains)),
+            *_where(each.where, is_split=is_split),
             _names(tuple(map(ros.said, each.topics))),
         )
         for each in flows
     )
-    return _printing.table(("from", "to", "domain", "what"), cells)
+    return _printing.table(("from", "to", "domain", *_header(is_split=is_split), "what"), cells)
+
+
+def _header(*, is_split: bool) -> tuple[str, ...]:
+    return ("partition",) * is_split
+
+
+def _where(words: str, *, is_split: bool) -> tuple[str, ...]:
+    """The cell with the partitions, if any row has some."""
+    return (printable(words) or _DEFAULT,) * is_split
 
 
 def _names(names: tuple[str, ...]) -> str:
@@ -37,9 +50,13 @@ def _table(rows: Sequence[Placed], count: int) -> Iterator[str]:
             return f"all {count}"
         return _names(names) or "-"
 
-    headers = ("topic", "domain", "may publish", "may subscribe")
+    is_split = any(each.row.where for each in rows)
+    headers = ("topic", "domain", *_header(is_split=is_split), "may publish", "may subscribe")
     cells = (
-        (_topic(each.row), str(each.domains), cell(each.row.publishers), cell(each.row.subscribers))
+        (
+            *(_topic(each.row), str(each.domains), *_where(each.row.where, is_split=is_split)),
+            *(cell(each.row.publishers), cell(each.row.subscribers)),
+        )
         for each in rows
     )
     yield from _printing.table(headers, cells)
@@ -56,13 +73,16 @@ def _markdown(rows: Sequence[Placed], _count: int) -> Iterator[str]:
     def cell(text: str) -> str:
         return _MARKDOWN.sub(r"\\\1", text)
 
-    yield "| Topic | Domain | May publish | May subscribe |"
-    yield "|---|---|---|---|"
+    is_split = any(each.row.where for each in rows)
+    headers = ("Topic", "Domain", *("Partition",) * is_split, "May publish", "May subscribe")
+    yield f"| {' | '.join(headers)} |"
+    yield "|---" * len(headers) + "|"
     for each in rows:
+        where = _where(each.row.where, is_split=is_split)
         who = (
             ", ".join(map(printable, them)) for them in (each.row.publishers, each.row.subscribers)
         )
-        yield f"| {' | '.join(map(cell, (_topic(each.row), str(each.domains), *who)))} |"
+        yield f"| {' | '.join(map(cell, (_topic(each.row), str(each.domains), *where, *who)))} |"
 
 
 def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
@@ -74,7 +94,8 @@ def _dot(rows: Sequence[Placed], _count: int) -> Iterator[str]:
     for name, node in nodes.items():
         yield f"  {node} [label={_label(printable(name))}];"
     for number, each in enumerate(rows):
-        label = _label(f"{_topic(each.row)} (domain {each.domains})")
+        where = f", partition {printable(each.row.where)}" if each.row.where else ""
+        label = _label(f"{_topic(each.row)} (domain {each.domains}{where})")
         yield f"  t{number} [shape=box, label={label}];"
         yield from (f"  {nodes[name]} -> t{number};" for name in each.row.publishers)
         yield from (f"  t{number} -> {nodes[name]};" for name in each.row.subscribers)

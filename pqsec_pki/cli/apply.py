@@ -334,9 +334,10 @@ def _report(
     note_roles(desired)
     note_left(found)
     now, replacing = _settings.now(), {StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW}
-    note_superseded(keystore, [each.name for each in done if each.action in replacing], now)
     on_list = any(step.action in _ON_LIST for step in done)
-    delivery = list_delivery(keystore, now=now) if on_list else None
+    with keystore.hold():  # so that the ledger is read once
+        note_superseded(keystore, [each.name for each in done if each.action in replacing], now)
+        delivery = list_delivery(keystore, now=now) if on_list else None
     changed = {step.name for step in done if step.name and step.action is not StepAction.REVOKE}
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]
     if waiting and not written:

@@ -278,11 +278,14 @@ def crl(
         authorities = _passphrases.unlock_with_signers(
             keystore, passphrase_file, SigningCa.IDENTITY
         )
-        found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
+        with keystore.hold():  # so that the ledger, as it is then, is not read again
+            found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
+            delivery = list_delivery(keystore, now=_settings.now())
+    else:
+        delivery = list_delivery(keystore, now=_settings.now())
     if out:
         with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):
             write(out, found.pem, force=force)
-    delivery = list_delivery(keystore, now=_settings.now())
     value = {"list": keystore.revocation_list_path, **found.to_json(), "delivery": delivery}
     lists = [(each, made) for each in keystore.sets[1:] if (made := each.revocation_list)]
     lines = [list_line(each, made) for each, made in ((keystore, found), *lists)]

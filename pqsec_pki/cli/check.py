@@ -4,11 +4,10 @@ import json
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import click
 
-from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings
+from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings, _targets
 from pqsec_pki.enrolment import head_problems
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
@@ -21,35 +20,18 @@ from pqsec_pki.lint import (
     Suppression,
     from_option,
     rule_named,
+    stacks_text,
     to_code_quality,
     to_sarif,
 )
 from pqsec_pki.lint import check as check_all
-from pqsec_pki.stacks import Stack, stack_named
+from pqsec_pki.stacks import Stack
 
 _WORST = [Severity.ERROR, Severity.WARNING, Severity.INFO]
 _GROUPED = 2
 """Fewer equal findings after a first one are lines of their own."""
 _GITLAB, _SARIF = "gitlab", "sarif"
-_COLUMNS = ("severity", "rule", "path", "line", "message", "fix")
-
-
-class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer clicks only
-    """Names of stacks, separated by commas."""
-
-    name = "targets"
-
-    def convert(
-        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[Stack, ...]:
-        """The targets. Raises click's error for an unknown one."""
-        if isinstance(value, tuple):
-            return value
-        words = [word.strip().lower() for word in str(value).split(",")]
-        for word in words:
-            if word not in set(Stack):
-                self.fail(f"{word!r} is not one of {', '.join(Stack)}", param, ctx)
-        return tuple(map(stack_named, words))
+_COLUMNS = ("severity", "rule", "path", "line", "message", "fix", "stacks")
 
 
 @_help.command(
@@ -73,15 +55,7 @@ class _Targets(click.ParamType):  # type: ignore[type-arg] # generic in newer cl
     },
 )
 @click.argument("paths", nargs=-1, type=_settings.PATH, metavar="[PATH]...")
-@click.option(
-    "--target",
-    "targets",
-    type=_Targets(),
-    default=(),
-    metavar="STACK,...",
-    help=f"Report only findings for these stacks: {', '.join(Stack)}.",
-    shell_complete=_completion.among(Stack),
-)
+@_targets.option("Report only findings for these stacks")
 @click.option("--strict", is_flag=True, help="Exit with 1 on warnings too.")
 @_formats.option(_GITLAB, _SARIF)
 @click.option("--sarif", is_flag=True, help="The same as --format sarif: print SARIF 2.1.0.")
@@ -156,7 +130,9 @@ def check(  # noqa: PLR0913 -- one for each option
             report.to_json(strict=strict),
             [*report_lines(report), *_more(report)],
             columns=_COLUMNS,
-            items=(each.to_json() for each in report.findings),
+            items=(
+                each.to_json() | {"stacks": stacks_text(each.stacks)} for each in report.findings
+            ),
         )
     if code := _exit_code(report, strict=strict):
         click.get_current_context().exit(code)
@@ -226,7 +202,7 @@ def _more(report: LintReport) -> list[str]:
     """The commands that explain the first of the worst findings, and that list all."""
     lines = [
         f"`pqsec check --explain {each.rule.id}` explains a finding, and how to fix it"
-        for each in sorted(report.findings, key=lambda each: _WORST.index(each.rule.severity))[:1]
+        for each in sorted(report.findings, key=lambda each: _WORST.index(each.severity))[:1]
     ]
     if len(list(_grouped(report.findings))) < len(report.findings):
         lines.append("`--format csv` lists each finding in a line")
@@ -237,8 +213,9 @@ def _explain(rule: Rule) -> None:
     lines = [f"{rule.id} ({rule.severity}, {rule.family}): {rule.title}", "", rule.why, ""]
     lines += ["Found here:", "", *_indented(rule.bad), "", f"To fix it: {rule.fix}", ""]
     lines += _indented(rule.good)
-    more = [f"Stacks: {', '.join(sorted(rule.stacks))}"] if rule.stacks else []
-    more += [f"Known from: {rule.measured}"] if rule.measured else []
+    stacks = stacks_text(rule.stacks)
+    more = [f"Stacks: {stacks}"] if stacks else []
+    more += [f"Known from: {rule.measured}"] if rule.measured not in {"", stacks} else []
     if rule.only_when_asked:
         more.append(f"Checked only with --target {' or '.join(sorted(rule.stacks))}")
     lines += ["", *more] if more else []

@@ -55,7 +55,7 @@ Answering = Callable[[PolicyInput], RightAnswer]
     },
     exit_codes={
         0: "allowed, for all participants and topics",
-        1: "denied, or a document is not valid or not signed by the CA",
+        1: "denied, or not known: a stack crashes, readers differ, or a document is not valid",
         3: "a file, the keystore or the participant cannot be read",
     },
 )
@@ -110,6 +110,9 @@ Answering = Callable[[PolicyInput], RightAnswer]
 def explain(name: str | None, stack: str | None, **asked: Any) -> int:
     """Show whether a participant may do something, and which rule decides.
 
+    The answer is YES or NO; CRASHES if the documents end the stack's process; or READERS
+    DIFFER if a value has a comment or other markup, which stacks read differently.
+
     Name a participant of the keystore, or the files of one, and one right. Documents of a
     keystore must be signed by its CAs. A right may take several topics, as a ROS 2 service
     does: all must be allowed on one domain. NAME may be a pattern ('/robot1/*') or a group
@@ -153,7 +156,8 @@ def _of_one(asked: dict[str, Any], answer: Answering, now: datetime) -> int:
         raise
     found = answer(policy_input)
     if len(found.uses) > 1:
-        _printing.emit({"allowed": found.allowed, "answers": [found]}, right_lines(found))
+        value = {"allowed": found.yes_or_no, "answer": found.word, "answers": [found]}
+        _printing.emit(value, right_lines(found))
     else:
         _print_one(policy_input, found.uses[0])
     return 0 if found.allowed else 1
@@ -216,8 +220,8 @@ def _policy_input(asked: dict[str, Any], now: datetime) -> PolicyInput:
 def _policy_input_in_files(asked: dict[str, Any], now: datetime) -> PolicyInput:
     ca: Path | None = asked["permissions_ca"]
     check = signed_by(ca, now) if ca else None
-    permissions = permissions_in(asked["permissions"], now, check)
-    governance = governance_in(asked["governance"], check)
+    permissions = permissions_in(asked["permissions"], now, check, any_markup=True)
+    governance = governance_in(asked["governance"], check, any_markup=True)
     for each in (governance, permissions):
         if each.signed and not each.verified:
             _printing.note(

@@ -123,16 +123,17 @@ def permit(  # noqa: PLR0913 -- one for each option, by name
         _note_validity(policy, grants, found)
     if not add:
         note_not_granted(topics, [one for each in found if each.old for one in each.old.grants])
+    removal = None if add else Removal(keystore.root, {}, None)
     if changes:
         if not yes:
             _ask(changes, differences)
         authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
-        sign_changed(keystore, authorities, changes, now=now)
+        with keystore.hold():  # so that the ledger, as it is then, is not read again
+            sign_changed(keystore, authorities, changes, now=now)
+            if removal:
+                earlier = earlier_ends(keystore, changes, now=now)
+                removal = Removal(keystore.root, earlier, list_delivery(keystore, now=now))
         note_doubtful_topics(keystore, [each.name for each in changes])
-    removes = bool(changes) and not add
-    earlier = earlier_ends(keystore, changes, now=now) if removes else {}
-    delivery = list_delivery(keystore, now=now) if removes else None
-    removal = None if add else Removal(keystore.root, earlier, delivery)
     _report(keystore, changes, differences, removal, complete=complete, shown=not yes)
 
 

@@ -130,12 +130,14 @@ def renew(  # noqa: PLR0913 -- one for each option, by name
         return
     terms = Renewal(rekey, validity, due or None, compromised_keys)
     authorities = _passphrases.unlock(keystore, passphrase_file)
-    renewed = renew_participants(keystore, authorities, chosen, terms, now=now)
-    if standing.list_is_due:
-        _printing.note("a new revocation list was issued because the old one was due")
-    note_unsigned_governance(keystore)
-    note_superseded(keystore, [each.name for each in renewed], now)
-    print_issued(keystore, renewed, delivery=list_delivery(keystore, now=now))
+    with keystore.hold():  # so that the ledger, as it is then, is not read again
+        renewed = renew_participants(keystore, authorities, chosen, terms, now=now)
+        if standing.list_is_due:
+            _printing.note("a new revocation list was issued because the old one was due")
+        note_unsigned_governance(keystore)
+        note_superseded(keystore, [each.name for each in renewed], now)
+        delivery = list_delivery(keystore, now=now)
+    print_issued(keystore, renewed, delivery=delivery)
 
 
 def _renewable(standing: Status, names: tuple[str, ...]) -> list[str]:

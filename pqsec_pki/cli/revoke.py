@@ -119,22 +119,23 @@ def revoke(  # noqa: PLR0913 -- one for each option, by name
         if not yes:
             _ask(found)
     authorities = _passphrases.unlock_with_signers(keystore, passphrase_file, SigningCa.IDENTITY)
-    revoked, made = revoke_subjects(
-        keystore,
-        authorities,
-        chosen,
-        certificates=certificates,
-        reason=Reason(reason or (Reason.SUPERSEDED if superseded else Reason.UNSPECIFIED)),
-        superseded=superseded,
-        now=now,
-        validity=validity,
-    )
+    with keystore.hold():  # so that the ledger, as it is then, is not read again
+        revoked, made = revoke_subjects(
+            keystore,
+            authorities,
+            chosen,
+            certificates=certificates,
+            reason=Reason(reason or (Reason.SUPERSEDED if superseded else Reason.UNSPECIFIED)),
+            superseded=superseded,
+            now=now,
+            validity=validity,
+        )
+        delivery = list_delivery(keystore, now=now)
     if not all(each.listed for each in revoked):
         _printing.note(
             "certificates of an earlier CA are not in a list: participants that still trust that CA"
             " accept them; copy the files of the current CA to every robot"
         )
-    delivery = list_delivery(keystore, now=now)
     value = {"revoked": revoked, "list": keystore.revocation_list_path, **made.to_json()}
     _printing.emit(
         {**value, "delivery": delivery},

@@ -1,6 +1,6 @@
 """pqsec sign-governance and sign-permissions: check a document, then sign it."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -9,7 +9,9 @@ import click
 
 from pqsec_pki._files import exists, read, refuse_existing
 from pqsec_pki._places import refuse_obeyed
+from pqsec_pki.access import follows_locale
 from pqsec_pki.cli import _help, _passphrases, _printing, _settings
+from pqsec_pki.cli._printing import printable
 from pqsec_pki.documents import (
     Governance,
     Kind,
@@ -20,6 +22,7 @@ from pqsec_pki.documents import (
 from pqsec_pki.errors import FileError, InvalidDocumentError, located
 from pqsec_pki.keystore import SigningCa
 from pqsec_pki.lifecycle import sign_document
+from pqsec_pki.policy import locale_doubt
 
 
 def _options(command: _settings.Command) -> _settings.Command:
@@ -98,7 +101,7 @@ def sign_permissions(file: Path, **choices: Any) -> None:
 
 def _sign(  # noqa: PLR0913 -- one for each option
     kind: Kind,
-    check: Callable[[bytes], object],
+    check: Callable[[bytes], Governance | Permissions],
     file: Path,
     *,
     output: Path | None,
@@ -110,6 +113,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
     document = document_at(file, kind)
     with located(file):
         value = check(document)
+        value.to_xml()  # what it refuses is refused with the file's name
     goal = output or file.with_suffix(".p7s")
     if not force:  # before the passphrase is asked for
         refuse_existing(goal)
@@ -125,6 +129,8 @@ def _sign(  # noqa: PLR0913 -- one for each option
         force=force,
     )
     _note_other_xml(goal, document, check, value)
+    for pattern in dict.fromkeys(filter(follows_locale, _patterns(value))):
+        _printing.note(printable(locale_doubt(pattern)))
     _printing.emit({"signed": goal, "bytes": len(signed)}, [f"{goal}  ({len(signed)} bytes)"])
 
 
@@ -149,6 +155,18 @@ def _note_other_xml(
                 _printing.note(f"{beside} is now what was signed, so without its comments")
             return
     _printing.note(f"{beside} says something else than what was signed into {goal.name}")
+
+
+def _patterns(value: Governance | Permissions) -> Iterator[str]:
+    """The patterns of topics and partitions."""
+    if isinstance(value, Governance):
+        for domain_rule in value.domain_rules:
+            yield from (each.topic_expression for each in domain_rule.topic_rules)
+        return
+    for grant in value.grants:
+        for rule in grant.rules:
+            for criteria in (*rule.publish, *rule.subscribe, *rule.relay):
+                yield from (*criteria.topics, *criteria.partitions)
 
 
 def _rendered(kind: Kind, document: bytes) -> bytes:

@@ -1,16 +1,21 @@
 """pqsec validate: check documents against their schemas, and what people write in YAML."""
 
 import re
+import shlex
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from pqsec_pki._files import read
-from pqsec_pki.cli import _help, _printing, _settings
+from pqsec_pki.cli import _help, _printing, _settings, _targets
 from pqsec_pki.errors import InvalidDocumentError, MalformedError
 from pqsec_pki.policy import valid_kind
+from pqsec_pki.stacks import Stack
+
+if TYPE_CHECKING:
+    from pqsec_pki.lint import Finding
 
 _SUFFIXES = {".yaml", ".yml"}
 _DOMAIN = re.compile(
@@ -27,6 +32,9 @@ _SERVE = re.compile(rb"(?m)^(url|listen|tls|keystore)[ \t]*:")
             "pqsec validate robots/enclaves/governance.xml robots/enclaves/talker/permissions.p7s"
         ),
         "Check a domain file whenever it is saved": "pqsec validate domain.yaml",
+        "Check whether two stacks take a document of another program": (
+            "pqsec validate --target connext,cyclonedds robots/enclaves/governance.p7s"
+        ),
     },
     exit_codes={
         0: "all documents are valid",
@@ -41,14 +49,15 @@ _SERVE = re.compile(rb"(?m)^(url|listen|tls|keystore)[ \t]*:")
     type=_settings.FILE,
     metavar="FILE...",
 )
+@_targets.option("Check instead whether these stacks take the documents, as far as is known")
 @_settings.command_options
-def validate(files: tuple[Path, ...]) -> None:
+def validate(files: tuple[Path, ...], targets: tuple[Stack, ...]) -> None:
     """Check governance and permissions documents against their schemas.
 
     FILE is XML, a signed file with XML inside, or YAML; also domain.yaml and serve.yaml. The kind
     of document is detected. Signatures are not checked: use `pqsec verify`.
     """
-    results = [_validated(file) for file in files]
+    results = [_validated(file, targets) for file in files]
     lines = []
     for result in results:
         if result["valid"]:
@@ -59,16 +68,56 @@ def validate(files: tuple[Path, ...]) -> None:
         click.get_current_context().exit(1)
 
 
-def _validated(file: Path) -> dict[str, Any]:
+def _validated(file: Path, targets: tuple[Stack, ...]) -> dict[str, Any]:
     try:
         kind = _kind(file)
+        if not targets or file.suffix in _SUFFIXES:
+            return {"file": str(file), "valid": True, "kind": kind, "problems": []}
+        return _judged(file, targets, [])
     except InvalidDocumentError as error:
-        return {"file": str(file), "valid": False, "kind": None, "problems": [*_told(error, file)]}
+        told = [*_told(error, file)]
+        if file.suffix not in _SUFFIXES:
+            if targets:
+                return _judged(file, targets, told)
+            _note_takers(file)
+        return {"file": str(file), "valid": False, "kind": None, "problems": told}
     except MalformedError as error:
         text = error.words_at(file)
         problem = {"file": str(file), "line": None, "element": None, "rule": text, "text": text}
         return {"file": str(file), "valid": False, "kind": None, "problems": [problem]}
-    return {"file": str(file), "valid": True, "kind": kind, "problems": []}
+
+
+def _judged(
+    file: Path, targets: tuple[Stack, ...], by_schema: list[dict[str, Any]]
+) -> dict[str, Any]:
+    """What these stacks are known to take; what the schema says of a file that is neither kind."""
+    from pqsec_pki.lint import Severity, check  # noqa: PLC0415 -- it loads all rules
+
+    report = check([file], now=_settings.now(), targets=targets)
+    kind = next((each.kind for each in report.inventory.documents), None)
+    problems = [
+        _of_finding(each, file)
+        for each in report.findings
+        if each.severity is Severity.ERROR and each.rule.family == "documents"
+    ] or ([] if kind else by_schema)
+    return {"file": str(file), "valid": not problems, "kind": kind, "problems": problems}
+
+
+def _note_takers(file: Path) -> None:
+    """A note for each stack that is known to take the document, although it is not valid."""
+    from pqsec_pki.lint import take_inventory  # noqa: PLC0415 -- likewise
+
+    for document in take_inventory([file], now=_settings.now()).documents:
+        for stack in document.taken_by:
+            command = f"pqsec validate --target {stack} {shlex.quote(str(file))}"
+            _printing.note(f"{stack.product} takes more than the schema allows: `{command}`")
+
+
+def _of_finding(finding: "Finding", file: Path) -> dict[str, Any]:
+    place = f"line {finding.line}: " if finding.line else ""
+    text = f"{place}{finding.message} ({finding.rule.id}{finding.stacks_in_brackets})"
+    found = {"line": finding.line, "element": None, "rule": finding.message}
+    return {"file": str(file), **found, "text": text}
 
 
 def _kind(file: Path) -> str:
@@ -85,7 +134,10 @@ def _kind(file: Path) -> str:
 
             read_settings(file)
             return "serve"
-    return valid_kind(file, _settings.now()).value
+    kind, problems = valid_kind(file, _settings.now())
+    for each in problems:
+        _printing.note(f"{file}: it cannot be signed: {each}")
+    return kind.value
 
 
 def _told(error: InvalidDocumentError, file: Path) -> Iterator[dict[str, Any]]:

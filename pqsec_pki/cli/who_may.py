@@ -9,6 +9,7 @@ import click
 from pqsec_pki.access import (
     MAX_NAME,
     Interpretation,
+    Placed,
     domains_said,
     interpretations_named,
 )
@@ -21,6 +22,7 @@ from pqsec_pki.errors import MissingError, UsageError
 from pqsec_pki.keystore import nearest
 from pqsec_pki.policy import (
     Fleet,
+    Flow,
     WhoMay,
     fleet_in,
     fleet_of,
@@ -28,8 +30,8 @@ from pqsec_pki.policy import (
     who_may_by_each,
 )
 
-_COLUMNS = ("topic", "domains", "pattern", "asked", "publish", "subscribe")
-_FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
+_COLUMNS = ("topic", "domains", "pattern", "asked", "publish", "subscribe", "partitions")
+_FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros", "partitions")
 
 
 @_help.command(
@@ -117,6 +119,13 @@ _FLOW_COLUMNS = ("from", "to", "domains", "topics", "ros")
     "--domain", "domains", help="Show these DDS domains: 0, or 0-3, or 0,5.  [default: all]"
 )
 @click.option(
+    "--partition",
+    "partitions",
+    multiple=True,
+    help="Show who may use an endpoint in this partition; repeatable.  [default: the default"
+    " partition, and others where somebody may do more]",
+)
+@click.option(
     "--governance", type=_settings.FILE, help="With PATHs: read this governance document."
 )
 @click.option(
@@ -140,6 +149,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     ros_parameters: tuple[str, ...],
     participants: tuple[str, ...],
     domains: str | None,
+    partitions: tuple[str, ...],
     governance: Path | None,
     stack: str,
     form: str,
@@ -164,7 +174,9 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     wanted = (*topics, *dict.fromkeys(named))
     if "" in wanted:
         raise UsageError("the topic is empty")
-    found = who_may_by_each(fleet, wanted, domains=where, now=now, versions=versions)
+    found = who_may_by_each(
+        fleet, wanted, domains=where, partitions=partitions, now=now, versions=versions
+    )
     _note_doubts(found)
     if chosen:
         found = found.of(chosen)
@@ -177,7 +189,7 @@ def who_may(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         found.to_json() if form == _formats.JSON else {},
         FORMS[form](found.rows, len(fleet.members)),
         columns=_COLUMNS,
-        items=found.rows_as_json(),
+        items=map(_flat, found.rows_as_json(), found.rows),
     )
 
 
@@ -200,9 +212,22 @@ def _of_ros(
         yield from _parameters(name)
 
 
+def _flat(value: dict[str, object], row: Placed | Flow) -> dict[str, object]:
+    """The object of a row for CSV, with its partitions in words."""
+    return value | {"partitions": row.row.where if isinstance(row, Placed) else row.where}
+
+
 def _note_doubts(found: WhoMay) -> None:
-    """Notes about unknown topics and ungoverned domains."""
-    used = {each.row.topic for each in found.rows if each.is_used}.union(found.too_long)
+    """Notes about participants without an answer, unknown topics, ungoverned domains and partitions
+    that were not searched."""
+    for each in (found, *found.others):
+        for name, reason in each.unanswered.items():
+            words = f"no answer by {each.interpretation.title} for {printable(name)}"
+            _printing.note(f"{words}: {printable(reason)}")
+    for name, reason in found.crashes.items():
+        _printing.note(f"{printable(name)}: {printable(reason)}")
+    rows = (row for each in (found, *found.others) for row in each.rows)
+    used = {each.row.topic for each in rows if each.is_used}.union(found.too_long)
     for topic, instead in found.unknown.items():
         nobody = "" if topic in used else ", so nobody may use it"
         is_ros = not instead and ros.is_ros_name(topic)
@@ -212,6 +237,11 @@ def _note_doubts(found: WhoMay) -> None:
     if found.too_long:
         names = _printing.few([f"{each[:20]}..." for each in found.too_long])
         _printing.note(f"RTPS allows a topic {MAX_NAME} characters: no answer for {names}")
+    if not found.complete:
+        _printing.note(
+            "the partitions of the rules are too many patterns to search: a right that is only in"
+            " some partitions may be missing; ask with --partition"
+        )
     if found.ungoverned:
         words = domains_said(found.ungoverned)
         _printing.note(f"the governance does not name {words}: no participant can join it")
@@ -285,5 +315,5 @@ def _show_matrix(form: str, found: WhoMay, chosen: list[str]) -> None:
         {**value, "flows": shown},
         flow_lines(shown),
         columns=_FLOW_COLUMNS,
-        items=(each.to_json() for each in shown),
+        items=(_flat(each.to_json(), each) for each in shown),
     )

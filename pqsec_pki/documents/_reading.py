@@ -20,6 +20,7 @@ _INSTANT = (
     r"(?:Z|(?P<sign>[+-])(?P<hours>\d\d):(?P<minutes>\d\d))?"
 )
 _XML_SPACE = " \t\r\n"
+_OCTAL = "01234567"
 
 
 def line(element: "_Element") -> int | None:
@@ -54,11 +55,15 @@ def domains(element: "_Element") -> DomainSet:
 
 def _domain_range(element: "_Element") -> DomainRange:
     ends = {end.tag: _domain_id(end) for end in element}
-    return DomainRange(first=ends.get("min", 0), last=ends.get("max"))
+    return DomainRange(first=ends.get("min", 0), last=ends.get("max"), no_min="min" not in ends)
 
 
 def _domain_id(element: "_Element") -> int:
-    digits = text(element).strip(_XML_SPACE).lstrip("+-").lstrip("0") or "0"
+    written = text(element).strip(_XML_SPACE).lstrip("+-")
+    digits = written.lstrip("0") or "0"
+    if written != digits and not (len(digits) == 1 and digits in _OCTAL):
+        words = f"readers differ: {shown(written, 20)} is octal for Cyclone DDS"
+        raise _refused(element, f"{words}; write {shown(digits, 20)}")
     if len(digits) > len(str(MAX_DOMAIN_ID)) or int(digits) > MAX_DOMAIN_ID:
         raise _refused(
             element, f"{shown(digits, 20)} is not a domain id: it is above {MAX_DOMAIN_ID}"
@@ -67,7 +72,7 @@ def _domain_id(element: "_Element") -> int:
 
 
 def instant(element: "_Element") -> datetime:
-    """An xs:dateTime in UTC; without a zone it is in UTC already (9.4.1.3.2.2).
+    """An xs:dateTime in its zone; without a zone it is in UTC (9.4.1.3.2.2).
 
     A fraction of a second is dropped: only OpenDDS reads it.
     InvalidDocumentError for years outside 1 to 9999, and for 24:00:00.
@@ -89,8 +94,9 @@ def _instant(value: str) -> datetime:
     if not found["sign"]:
         return local.replace(tzinfo=UTC)
     offset = timedelta(hours=int(found["hours"]), minutes=int(found["minutes"]))
-    zone = timezone(-offset if found["sign"] == "-" else offset)
-    return local.replace(tzinfo=zone).astimezone(UTC)
+    found_in = local.replace(tzinfo=timezone(-offset if found["sign"] == "-" else offset))
+    found_in.astimezone(UTC)  # OverflowError if it is not in these years there
+    return found_in
 
 
 def _refused(element: "_Element", message: str) -> InvalidDocumentError:

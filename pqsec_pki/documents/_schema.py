@@ -1,7 +1,7 @@
 """Validates a document against its schema, and lists everything that is wrong with it."""
 
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from enum import StrEnum
 from functools import cache
 from itertools import islice
@@ -9,7 +9,8 @@ from threading import Lock
 from typing import TYPE_CHECKING
 
 from pqsec_pki._assets import asset
-from pqsec_pki.documents._xml import MAX_PROBLEMS, invalid, parse, problem
+from pqsec_pki._dataclass import dataclass
+from pqsec_pki.documents._xml import MAX_PROBLEMS, invalid, parse, parse_any, problem
 from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
 from pqsec_pki.problems import Code, Problem
 
@@ -27,6 +28,31 @@ class Kind(StrEnum):
 
     GOVERNANCE = "governance"
     PERMISSIONS = "permissions"
+
+
+@dataclass(frozen=True, slots=True)
+class Extensions:
+    """What a stack takes in documents beyond the schema."""
+
+    elements: Mapping[tuple[str, str], str]
+    """(parent, element) -> the element of the schema in whose place it stands; "" if none."""
+    attributes: frozenset[str]
+    """Of any element."""
+    skipped: tuple[str, str]
+    """(attribute, value) of elements that the stack skips if it does not know them."""
+
+    def remove_from(self, root: "_Element") -> None:
+        """Remove or replace them: what remains must match the schema."""
+        name, value = self.skipped
+        for element in list(root.iter("*")):
+            parent = element.getparent()
+            instead = None if parent is None else self.elements.get((parent.tag, element.tag))
+            if instead:
+                element.tag = instead
+            elif parent is not None and (instead == "" or element.get(name) == value):
+                parent.remove(element)
+            for each in self.attributes.intersection(element.attrib):
+                del element.attrib[each]
 
 
 _KIND_OF_CONTENT = {"domain_access_rules": Kind.GOVERNANCE, "permissions": Kind.PERMISSIONS}
@@ -66,26 +92,36 @@ _RULES = tuple(
 _PLACE = r"Element '(?:\{[^}]*\})?(?P<name>[^']*)'(?:, attribute '[^']*')?: "
 
 
-def validate(xml: bytes) -> Kind:
+def validate(xml: bytes, extensions: Extensions | None = None, *, any_markup: bool = False) -> Kind:
     """Validate `xml`, and return which of the two documents it is.
 
-    InvalidDocumentError if it is not XML; else it lists everything that breaks the schema, with
-    line, element and rule; if several children of an element are out of place, only the first.
+    It may also have the `extensions` of a stack. InvalidDocumentError if it is not XML; else it
+    lists everything that breaks the schema, with line, element and rule; if several children of an
+    element are out of place, only the first.
     """
-    root = parse(xml)
+    root = parse_any(xml)[0] if any_markup else parse(xml)
+    if extensions:
+        extensions.remove_from(root)
     kind = _kind(root)
     _check(root, kind)
     return kind
 
 
-def read(xml: bytes, kind: Kind) -> "_Element":
-    """The root element of a valid document of that kind; errors as in `validate`."""
-    root = parse(xml)
+def read(
+    xml: bytes, kind: Kind, *, any_markup: bool = False
+) -> "tuple[_Element, tuple[Problem, ...]]":
+    """The root element of a valid document of that kind, and its values with markup.
+
+    Errors as in `validate`, and unless `any_markup` for these values.
+    """
+    root, markup = parse_any(xml)
+    if markup and not any_markup:
+        raise InvalidDocumentError(markup)
     found = _kind(root)
     if found is not kind:
         raise InvalidDocumentError([problem(root, f"is a {found} document, not a {kind} one")])
     _check(root, kind)
-    return root
+    return root, markup
 
 
 def _kind(root: "_Element") -> Kind:

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import ros
 from pqsec_pki.documents._reading import line, text
-from pqsec_pki.documents._sros2_words import KINDS
+from pqsec_pki.documents._sros2_words import KINDS, TYPES
 from pqsec_pki.documents._xinclude import BASE, assembled
-from pqsec_pki.documents._xml import problem
+from pqsec_pki.documents._xml import XSI, XSI_LOCATIONS, problem
 from pqsec_pki.documents.ros import Endpoints
 from pqsec_pki.errors import InvalidDocumentError, UsageError, located, shown
 
@@ -106,6 +106,7 @@ def _blocks(profile: "_Element", node: str) -> Iterator[Block]:
 
 def _full_name(element: "_Element", profile: "_Element", node: str) -> str:
     """The name as SROS2 writes it. SROS2 does not check names; white space is refused here."""
+    _require(element, str(element.tag))
     name = text(element).strip()
     if not name or len(element) or len(name.split()) > 1:
         raise _refused(element, "is not a ROS 2 name")
@@ -142,13 +143,25 @@ def _require(
     optional: AbstractSet[str] = frozenset(),
 ) -> None:
     """Check that the element has that name, the required attributes, and only optional others."""
-    given = {str(key) for key in element.attrib} - {BASE}
     if element.tag != name:
         raise _refused(element, f"is not expected here; expected: {name}")
+    given = set(map(str, element.attrib)) - {BASE, *XSI_LOCATIONS} - _own_type(element)
     if missing := sorted(required - given):
         raise _refused(element, f"lacks its attribute '{missing[0]}'")
     if unknown := sorted(given - required - optional):
         raise _refused(element, f"has no attribute '{shown(unknown[0])}'")
+
+
+def _own_type(element: "_Element") -> set[str]:
+    """The attribute xsi:type, if it is there. Only the element's type in SROS2's schema fits,
+    so it changes nothing. No element may have xsi:nil.
+    """
+    given, known = element.get(f"{XSI}type"), TYPES[str(element.tag)]
+    if given is None:
+        return set()
+    if given != known:
+        raise _refused(element, f"has xsi:type='{shown(given)}', but its type is {known}")
+    return {f"{XSI}type"}
 
 
 def _refused(element: "_Element", message: str) -> InvalidDocumentError:

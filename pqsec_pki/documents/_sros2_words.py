@@ -41,3 +41,14 @@ KINDS: dict[str, tuple[str, dict[str, Callable[[str], Endpoints]]]] = {
     ),
 }
 """Element -> (element of its names, attribute -> DDS topics that it allows for a name)."""
+
+TYPES = {
+    **{
+        name: name.capitalize() for name in ("policy", "enclaves", "enclave", "profiles", "profile")
+    },
+    "topics": "TopicExpressionList",
+    "services": "ServicesExpressionList",
+    "actions": "ActionsExpressionList",
+    **dict.fromkeys(("topic", "service", "action"), "Expression"),
+}
+"""Element -> its type in SROS2's schema (`policy.xsd` of sros2 0.13)."""

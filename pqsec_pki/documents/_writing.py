@@ -11,8 +11,10 @@ from typing import TYPE_CHECKING, TypeAlias
 
 from pqsec_pki._times import said
 from pqsec_pki.documents._schema import Kind, validate
+from pqsec_pki.documents.crashes import Crash, governance_crashes, grant_crashes
 from pqsec_pki.documents.domains import DomainRange
-from pqsec_pki.errors import UsageError
+from pqsec_pki.errors import InvalidDocumentError, UsageError
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     from pqsec_pki.documents.governance import DomainRule, Governance, TopicRule
@@ -38,7 +40,11 @@ _ESCAPES |= str.maketrans({"\t": "&#9;", "\n": "&#10;", "\r": "&#13;"})
 
 
 def governance_xml(governance: "Governance") -> bytes:
-    """The document. UsageError for a character that XML does not allow."""
+    """The document. UsageError for a character that XML does not allow.
+
+    InvalidDocumentError for what crashes a stack, or what readers read differently.
+    """
+    _refuse(governance.markup, governance_crashes(governance.domain_rules))
     return _valid(governance_text(governance))
 
 
@@ -49,8 +55,14 @@ def governance_text(governance: "Governance") -> bytes:
 
 
 def permissions_xml(permissions: "Permissions") -> bytes:
-    """The document. UsageError as above, and for a time that no stack understands."""
+    """The document. Errors as above, and UsageError for a time that no stack understands."""
+    _refuse(permissions.markup, grant_crashes(permissions.grants))
     return _valid(_document(Kind.PERMISSIONS, ("permissions", map(_grant, permissions.grants))))
+
+
+def _refuse(markup: Iterable[Problem], crashes: Iterable[Crash]) -> None:
+    if problems := [*markup, *(each.problem for each in crashes)]:
+        raise InvalidDocumentError(problems)
 
 
 def _document(kind: Kind, content: Element) -> bytes:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read, resolved
-from pqsec_pki.documents._xml import parse, problem
+from pqsec_pki.documents._xml import XSI_LOCATIONS, parse, problem
 from pqsec_pki.errors import InvalidDocumentError, located, shown
 
 if TYPE_CHECKING:
@@ -105,7 +105,7 @@ class _Assembly:
 
 
 def _check(include: "_Element") -> None:
-    if unknown := sorted(set(map(str, include.attrib)) - _ATTRIBUTES):
+    if unknown := sorted(set(map(str, include.attrib)) - _ATTRIBUTES - XSI_LOCATIONS):
         raise _refused(include, f"has {shown(unknown[0])}, which is not supported")
     if include.get("parse", "xml") != "xml":
         raise _refused(include, "includes a file that is not XML, which is not supported")

@@ -11,7 +11,7 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 from pqsec_pki.errors import InvalidDocumentError, library_call, shown, words_of
-from pqsec_pki.problems import Problem
+from pqsec_pki.problems import Code, Problem
 
 if TYPE_CHECKING:
     from lxml.etree import XMLParser, _Element
@@ -22,17 +22,32 @@ MAX_DOCUMENT = 8 << 20
 MAX_PROBLEMS = 100
 """More do not help a reader, and a hostile document has a million."""
 
+XSI = "{http://www.w3.org/2001/XMLSchema-instance}"
+"""The namespace whose attributes an XML schema allows on every element (XML Schema 1, 2.6)."""
+XSI_LOCATIONS = frozenset({f"{XSI}schemaLocation", f"{XSI}noNamespaceSchemaLocation"})
+"""Hints where a schema may be, for editors. Nothing here follows them."""
+
 _MARKUP = {"Comment": "a comment", "ProcessingInstruction": "a processing instruction"}
 _CDATA = "<![CDATA["
 
 
-def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
+def parse(xml: bytes) -> "_Element":
     """The root element of `xml`, without its comments and processing instructions.
 
-    The encoding is found as in XML 1.0, appendix F: by byte order mark, by declaration, else
-    UTF-8. InvalidDocumentError, with the line, if it is not well formed, too large or too deep,
-    or has a DOCTYPE; and, unless `any_markup`, if a value has a comment, a CDATA section or a
-    processing instruction in it: other readers read another value there.
+    Errors as in `parse_any`, and if there is markup in a value.
+    """
+    root, markup = parse_any(xml)
+    if markup:
+        raise InvalidDocumentError(markup)
+    return root
+
+
+def parse_any(xml: bytes) -> "tuple[_Element, tuple[Problem, ...]]":
+    """The root element, and the values with a comment, CDATA section or processing instruction.
+
+    Other readers read another value there. The encoding is found as in XML 1.0, appendix F: by
+    byte order mark, by declaration, else UTF-8. InvalidDocumentError, with the line, if it is not
+    well formed, too large or too deep, or has a DOCTYPE.
     """
     from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
 
@@ -42,11 +57,9 @@ def parse(xml: bytes, *, any_markup: bool = False) -> "_Element":
         root = etree.fromstring(xml, _parser())
     if root.getroottree().docinfo.internalDTD is not None:
         raise invalid("has a DOCTYPE, which is not allowed: remove it")
-    problems = () if any_markup else tuple(islice(_markup_in_values(root), MAX_PROBLEMS))
-    if problems:
-        raise InvalidDocumentError(problems)
+    markup = tuple(islice(_markup_in_values(root), MAX_PROBLEMS))
     etree.strip_tags(root, etree.Comment, etree.ProcessingInstruction)
-    return root
+    return root, markup
 
 
 def _not_well_formed(error: BaseException) -> InvalidDocumentError:
@@ -78,7 +91,7 @@ def _markup_in_values(root: "_Element") -> Iterator[Problem]:
                 markup.setdefault(element, "a CDATA section")
     for element, what in markup.items():
         words = f"readers differ: {what} in a value, where Fast DDS stops reading; write plain text"
-        yield problem(element, words)
+        yield problem(element, words, Code.READERS_DISAGREE)
 
 
 def _is_value(element: "_Element") -> bool:
@@ -114,7 +127,7 @@ def invalid(message: str, line: int | None = None) -> InvalidDocumentError:
     return InvalidDocumentError([Problem(message, line=line)])
 
 
-def problem(element: "_Element", message: str) -> Problem:
+def problem(element: "_Element", message: str, code: Code = Code.OTHER) -> Problem:
     """The problem `message`, with the element and its line."""
     line: int = element.sourceline  # type: ignore[assignment] # lxml-stubs leave its type open
-    return Problem(message, line=line, element=shown(element.tag))
+    return Problem(message, code, line=line, element=shown(element.tag))

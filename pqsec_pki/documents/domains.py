@@ -23,6 +23,8 @@ class DomainRange:
 
     first: int
     last: int | None = None
+    no_min: bool = False
+    """Whether the document has no <min>, so that it starts at 0."""
 
     def __post_init__(self) -> None:
         _check_id(self.first)

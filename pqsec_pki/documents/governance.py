@@ -9,6 +9,7 @@ from pqsec_pki.documents import _reading, _schema, _writing
 from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.errors import UsageError
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -93,6 +94,8 @@ class Governance:
     """A governance document (DDS-Security 1.1, 9.4.1.2)."""
 
     domain_rules: tuple[DomainRule, ...]
+    markup: tuple[Problem, ...] = ()
+    """Values with markup in them, which readers read differently; each has its line."""
 
     def __post_init__(self) -> None:
         if not self.domain_rules:
@@ -129,18 +132,22 @@ class Governance:
         return cls(domain_rules=(rule,))
 
     @classmethod
-    def from_xml(cls, xml: bytes) -> Self:
+    def from_xml(cls, xml: bytes, *, any_markup: bool = False) -> Self:
         """The governance in the XML document.
 
-        InvalidDocumentError if it is not XML, or breaks its schema,
-        or names a domain id of more than 31 bits.
+        InvalidDocumentError if it is not XML, or breaks its schema, or names a domain id of more
+        than 31 bits, or, unless `any_markup`, has markup in a value.
         """
-        return cls(domain_rules=_usual_rules(xml) or _rules_in_elements(xml))
+        if rules := _usual_rules(xml):
+            return cls(domain_rules=rules)
+        rules, markup = _rules_in_elements(xml, any_markup=any_markup)
+        return cls(domain_rules=rules, markup=markup)
 
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a topic expression with a character that XML does not allow.
+        UsageError for a topic expression with a character that XML does not allow;
+        InvalidDocumentError for what crashes a stack (`crashes`), and for `markup`.
         """
         return _writing.governance_xml(self)
 
@@ -169,10 +176,12 @@ def _usual_rules(xml: bytes) -> tuple[DomainRule, ...]:
     return (replace(rule, topic_rules=(topics,), line=_RULE_LINE),)
 
 
-def _rules_in_elements(xml: bytes) -> tuple[DomainRule, ...]:
-    """The rules, by the XML parser and the schema, whatever the form."""
-    [rules] = _schema.read(xml, _schema.Kind.GOVERNANCE)
-    return tuple(map(_domain_rule, rules))
+def _rules_in_elements(
+    xml: bytes, *, any_markup: bool = False
+) -> tuple[tuple[DomainRule, ...], tuple[Problem, ...]]:
+    """The rules and values with markup, by the XML parser and the schema, whatever the form."""
+    root, markup = _schema.read(xml, _schema.Kind.GOVERNANCE, any_markup=any_markup)
+    return tuple(map(_domain_rule, root[0])), markup
 
 
 # The schema fixes the number and order of the children, so they are found by position.

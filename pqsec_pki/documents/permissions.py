@@ -13,9 +13,13 @@ from pqsec_pki.documents._xml import with_line_feeds
 from pqsec_pki.documents.domains import DomainSet
 from pqsec_pki.documents.subject import parse_subject, same_subject
 from pqsec_pki.errors import UsageError
+from pqsec_pki.problems import Problem
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
+
+
+_SPACE = " \t\r\n"
 
 
 class DefaultAction(StrEnum):
@@ -63,6 +67,17 @@ class PermissionRule:
         return cls(allow=False, domains=domains, publish=everything, subscribe=everything)
 
 
+@dataclass(frozen=True, slots=True)
+class Spelling:
+    """Values of a grant as a document may have them."""
+
+    subject_name: str
+    """With white space around it."""
+    not_before: datetime
+    """In a zone, as `not_after`."""
+    not_after: datetime
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Grant:
     """What one subject may do, and when; the first rule that matches decides.
@@ -78,13 +93,21 @@ class Grant:
     not_after: datetime
     rules: tuple[PermissionRule, ...] = ()
     default: DefaultAction = DefaultAction.DENY
+    spelling: Spelling | None = field(default=None, compare=False, repr=False)
+    """How its document has these values, if not as pqsec writes them: stacks differ then."""
     line: int | None = field(default=None, compare=False, repr=False)
     """Its line in the document; None if it was not read from one."""
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "subject_name", self.subject_name.strip(" \t\r\n"))
+        object.__setattr__(self, "subject_name", self.subject_name.strip(_SPACE))
         object.__setattr__(self, "not_before", _whole_seconds(self.not_before))
         object.__setattr__(self, "not_after", _whole_seconds(self.not_after))
+
+    @property
+    def written(self) -> Spelling:
+        """Its values as its document has them; as they are, if they were changed since."""
+        found, own = self.spelling, Spelling(self.subject_name, self.not_before, self.not_after)
+        return found if found and _plainly(found) == own else own
 
     @classmethod
     def least(  # noqa: PLR0913 - one argument for each part of a grant, all by name
@@ -124,6 +147,8 @@ class Permissions:
     """A permissions document (DDS-Security 1.1, 9.4.1.3)."""
 
     grants: tuple[Grant, ...]
+    markup: tuple[Problem, ...] = ()
+    """Values with markup in them, which readers read differently; each has its line."""
     is_plain: bool = field(default=False, init=False, compare=False, repr=False)
     """Whether it was read from a text in the form in which pqsec writes most of them."""
 
@@ -139,11 +164,12 @@ class Permissions:
         )
 
     @classmethod
-    def from_xml(cls, xml: bytes) -> "Permissions":
+    def from_xml(cls, xml: bytes, *, any_markup: bool = False) -> "Permissions":
         """The permissions in the XML document.
 
         InvalidDocumentError if it is not XML, or breaks its schema, or has
-        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits. The same XML,
+        a year outside 1 to 9999, the hour 24 or a domain id of more than 31 bits, or, unless
+        `any_markup`, markup in a value. The same XML,
         with LF or CRLF, gives the same value while one is in use: several questions about a fleet
         read it once.
         """
@@ -151,20 +177,30 @@ class Permissions:
         found = _IN_USE.get(xml)
         if found is None:
             plain = _plain.read(xml)
-            found = _of_plain(plain) if plain else permissions_in_elements(xml)
-            _IN_USE[xml] = found
+            found = (
+                _of_plain(plain) if plain else permissions_in_elements(xml, any_markup=any_markup)
+            )
+            if not found.markup:
+                _IN_USE[xml] = found
         return found
 
     def to_xml(self) -> bytes:
         """The document in the form that every stack accepts, schema-valid UTF-8.
 
-        UsageError for a time after the year 2261 and for a character that XML does not allow.
+        UsageError for a time after the year 2261 and for a character that XML does not allow;
+        InvalidDocumentError for what crashes a stack (`crashes`), and for `markup`.
         """
         return _writing.permissions_xml(self)
 
 
 _IN_USE: WeakValueDictionary[bytes, Permissions] = WeakValueDictionary()
 """XML -> the permissions, of those that `from_xml` made."""
+
+
+def _plainly(spelling: Spelling) -> Spelling:
+    """The same, without white space and in UTC."""
+    times = (each.astimezone(UTC) for each in (spelling.not_before, spelling.not_after))
+    return Spelling(spelling.subject_name.strip(_SPACE), *times)
 
 
 def _whole_seconds(time: datetime) -> datetime:
@@ -216,23 +252,26 @@ def _of_plain(text: _plain.PlainText) -> Permissions:
     return found
 
 
-def permissions_in_elements(xml: bytes) -> Permissions:
+def permissions_in_elements(xml: bytes, *, any_markup: bool = False) -> Permissions:
     """Like `Permissions.from_xml`, with the XML parser and the schema, for any form."""
     # The schema fixes the number and order of the children, so they are found by position.
-    [grants] = _schema.read(xml, _schema.Kind.PERMISSIONS)
-    return Permissions(grants=tuple(map(_grant, grants)))
+    root, markup = _schema.read(xml, _schema.Kind.PERMISSIONS, any_markup=any_markup)
+    return Permissions(grants=tuple(map(_grant, root[0])), markup=markup)
 
 
 def _grant(element: "_Element") -> Grant:
     subject_name, validity, *rules, default = element
-    not_before, not_after = validity
+    written = Spelling(_reading.text(subject_name), *map(_reading.instant, validity))
+    plain = _plainly(written)
+    is_plain = (written, written.not_before.tzinfo, written.not_after.tzinfo) == (plain, UTC, UTC)
     return Grant(
         name=element.get("name", ""),
-        subject_name=_reading.text(subject_name),
-        not_before=_reading.instant(not_before),
-        not_after=_reading.instant(not_after),
+        subject_name=plain.subject_name,
+        not_before=plain.not_before,
+        not_after=plain.not_after,
         rules=tuple(map(_rule, rules)),
         default=DefaultAction(_reading.text(default)),
+        spelling=None if is_plain else written,
         line=_reading.line(element),
     )
 

@@ -1,17 +1,15 @@
 """Any XML as a plain tree, with everything that the values of documents do not contain.
 
-It has order, white space, comments, unknown elements and attributes, each with its line, and
+It has order, white space, unknown elements and attributes, each with its line, and
 validates none of them. The same safe parser reads it.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import _reading
-from pqsec_pki.documents._xml import invalid, parse
-from pqsec_pki.errors import library_call, words_of
+from pqsec_pki.documents._xml import invalid, parse_any
 
 if TYPE_CHECKING:
     from lxml.etree import _Element
@@ -57,26 +55,11 @@ class Node:
         return self.text.strip(" \t\r\n")
 
 
-@dataclass(frozen=True, slots=True)
-class Comment:
-    """A comment, and its position."""
-
-    line: int
-    inside: str
-    """The tag of the element that contains it."""
-    after: str | None
-    """The tag of the element before it, if there is one in the same element."""
-    is_last: bool
-    """Whether no element follows in the same element."""
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Tree:
     """A whole document."""
 
     root: Node
-    comments: tuple[Comment, ...]
-    """The comments in the root element; all stacks ignore the others."""
     encoding: str
     """The declared encoding, or that of the byte order mark; in upper case."""
     byte_order_mark: bool
@@ -88,12 +71,11 @@ def read_tree(xml: bytes) -> Tree:
     InvalidDocumentError as for other documents, for more than MAX_ELEMENTS elements, and for an
     element with more than MAX_ATTRIBUTES attributes.
     """
-    root = parse(xml, any_markup=True)
+    root = parse_any(xml)[0]
     if sum(1 for _ in root.iter()) > MAX_ELEMENTS:
         raise invalid(f"more than {MAX_ELEMENTS} elements, so not a document of this kind")
     return Tree(
         root=_node(root),
-        comments=tuple(_comments(xml)),
         encoding=_encoding(xml, root),
         byte_order_mark=xml.startswith(_MARKS),
     )
@@ -117,35 +99,3 @@ def _node(element: "_Element") -> Node:
         attributes=tuple((str(name), str(value)) for name, value in element.attrib.items()),
         children=tuple(map(_node, element)),
     )
-
-
-def _comments(xml: bytes) -> Iterator[Comment]:
-    """The comments of a document that was already parsed, so that it is safe to parse."""
-    from lxml import etree  # noqa: PLC0415 - `pqsec --help` must not load lxml
-
-    if b"<!--" not in xml.replace(b"\0", b""):  # UTF-16 has zero bytes between characters
-        return
-    parser = etree.XMLParser(resolve_entities=False, no_network=True, remove_pis=True)
-    last: dict[_Element, str] = {}  # parent -> the last element in it so far
-    waiting: dict[_Element, list[Comment]] = {}  # comments that no element has followed yet
-    with library_call(lambda error: invalid(words_of(error))):
-        root = etree.fromstring(xml, parser)
-    for count, node in enumerate(root.iterdescendants()):
-        if count > MAX_ELEMENTS:
-            raise invalid(f"more than {MAX_ELEMENTS} elements and comments")
-        parent = node.getparent()
-        if parent is None:  # only the root has none
-            continue
-        if isinstance(node.tag, str):
-            yield from waiting.pop(parent, ())
-            last[parent] = node.tag
-            continue
-        comment = Comment(
-            line=_reading.line(node) or 0,
-            inside=parent.tag,
-            after=last.get(parent),
-            is_last=False,
-        )
-        waiting.setdefault(parent, []).append(comment)
-    for rest in waiting.values():
-        yield from (replace(comment, is_last=True) for comment in rest)

@@ -5,7 +5,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from datetime import timedelta
-from os.path import commonprefix
+from itertools import takewhile
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, PermissionRule
@@ -83,9 +83,15 @@ def _label(names: list[str]) -> str:
     parts = [name.split("/")[1:] for name in names]
     if len(parts) == 1:
         return parts[0][-1]
-    common = commonprefix([each[-1] for each in parts]).rstrip(_NUMBERING)  # noqa: RUF071 -- letters
-    folders = commonprefix([each[:-1] for each in parts])  # noqa: RUF071 -- of lists
+    common = "".join(_begin([each[-1] for each in parts])).rstrip(_NUMBERING)
+    folders = _begin([each[:-1] for each in parts])
     return common or (folders[-1] if folders else "participant")
+
+
+def _begin(sequences: Iterable[Sequence[str]]) -> list[str]:
+    """The items that all begin with. os.path.commonprefix is deprecated since Python 3.15."""
+    alike = takewhile(lambda items: len(set(items)) == 1, zip(*sequences, strict=False))
+    return [items[0] for items in alike]
 
 
 def _choices(participant: FoundParticipant) -> list[SharedRules]:

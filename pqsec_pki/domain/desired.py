@@ -10,7 +10,14 @@ from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.approvals import ApprovalPolicy
-from pqsec_pki.documents import DefaultAction, DomainSet, Governance, Grant, PermissionRule
+from pqsec_pki.documents import (
+    DefaultAction,
+    DomainSet,
+    Governance,
+    Grant,
+    PermissionRule,
+    grant_crashes,
+)
 from pqsec_pki.documents.parts_yaml import (
     ALLOWED,
     Item,
@@ -24,7 +31,7 @@ from pqsec_pki.documents.parts_yaml import (
 )
 from pqsec_pki.domain._placeholders import filled, own_values
 from pqsec_pki.domain.devices import Device
-from pqsec_pki.errors import located
+from pqsec_pki.errors import InvalidDocumentError, located
 from pqsec_pki.lifecycle import ParticipantSpec
 
 EDITION = 1
@@ -60,7 +67,7 @@ class Role:
             rules, default = rules_of(filled(self.item, {**values, **own_values(name)}), domains)
         else:
             rules, default = _read_once(self, domains)
-        return Grant(
+        grant = Grant(
             name=name,
             subject_name=f"CN={name}",
             not_before=_ALWAYS[0],
@@ -68,6 +75,9 @@ class Role:
             rules=rules,
             default=default,
         )
+        if crashes := [each.problem for each in grant_crashes((grant,))]:
+            raise InvalidDocumentError(crashes)
+        return grant
 
 
 @dataclass(frozen=True, slots=True)

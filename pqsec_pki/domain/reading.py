@@ -30,6 +30,7 @@ from pqsec_pki.documents import (
     PRESETS,
     DomainSet,
     Governance,
+    governance_crashes,
     governance_from_yaml,
     preset_named,
 )
@@ -57,7 +58,7 @@ from pqsec_pki.domain._groups import groups_in, members_of_groups
 from pqsec_pki.domain._members import members_of
 from pqsec_pki.domain._roles import entry_in, roles_in
 from pqsec_pki.domain.desired import Desired, Role, validity_in
-from pqsec_pki.errors import MissingError, located, shown
+from pqsec_pki.errors import InvalidDocumentError, MissingError, located, shown
 from pqsec_pki.stacks import Stack
 
 YEAR = timedelta(days=365)
@@ -184,9 +185,8 @@ class _GovernanceFile:
         path = folder / self.name
         data = read_file(path)
         with located(path):
-            if path.suffix == ".xml":
-                return Governance.from_xml(data)
-            return governance_from_yaml(data)
+            is_xml = path.suffix == ".xml"
+            return _safe(Governance.from_xml(data) if is_xml else governance_from_yaml(data))
 
 
 def _governance(default_domains: DomainSet, item: Item) -> Governance | _GovernanceFile:
@@ -196,4 +196,11 @@ def _governance(default_domains: DomainSet, item: Item) -> Governance | _Governa
         return preset_named(name).governance(default_domains)
     if "file" in table(item).entries:
         return _GovernanceFile(fields(item, {"file": text})["file"])
-    return governance_in(item, default_domains)
+    return _safe(governance_in(item, default_domains))
+
+
+def _safe(governance: Governance) -> Governance:
+    """The governance; InvalidDocumentError if it crashes a stack, before anything is changed."""
+    if crashes := [each.problem for each in governance_crashes(governance.domain_rules)]:
+        raise InvalidDocumentError(crashes)
+    return governance

@@ -27,16 +27,33 @@ def make_private(folder: Path) -> None:
 
 @contextmanager
 def locked(root: Path) -> Iterator[None]:
-    """Lock the folder for this process; KeystoreError if another process has the lock."""
-    handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    """Lock the folder for this process.
+
+    KeystoreError if another process has the lock, or had it and removed the folder meanwhile.
+    """
+    in_use = KeystoreError(f"{root}: another pqsec command is using this folder")
+    try:
+        handle = os.open(root, os.O_RDONLY | os.O_DIRECTORY)
+    except FileNotFoundError:
+        raise in_use from None
     try:
         with unshared(handle):
             lock(handle, fcntl.LOCK_EX)
+            if not _is_still(root, handle):
+                raise in_use
             yield
     except BlockingIOError:
-        raise KeystoreError(f"{root}: another pqsec command is using this folder") from None
+        raise in_use from None
     finally:
         os.close(handle)
+
+
+def _is_still(root: Path, handle: int) -> bool:
+    """Whether the folder at that path is the one that was opened."""
+    try:
+        return os.path.samestat(root.stat(), os.fstat(handle))
+    except FileNotFoundError:
+        return False
 
 
 def sweep(root: Path) -> None:

@@ -265,20 +265,16 @@ def changing(root: Path) -> Iterator[CredentialStore]:
         _refuse_outsiders(root)
         new = not root.exists()
         make_private(root)
-        try:
-            with locked(root):
+        with locked(root):
+            try:
                 sweep(root)
-                try:
-                    yield CredentialStore(root)
-                except BaseException:
-                    with suppress(OSError):  # the next command removes it
-                        sweep(root)
-                    raise
-        except BaseException:
-            if new:
-                with suppress(OSError):  # it is not empty
-                    root.rmdir()
-            raise
+                yield CredentialStore(root)
+            except BaseException:
+                with suppress(OSError):  # the next command removes what is left
+                    sweep(root)
+                    if new:
+                        root.rmdir()  # if it is empty
+                raise
 
 
 def _refuse_outsiders(root: Path) -> None:

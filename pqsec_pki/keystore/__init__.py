@@ -140,6 +140,7 @@ if TYPE_CHECKING:
         load_first_certificate,
         load_participant,
         load_revocation_list,
+        public_files,
     )
     from pqsec_pki.keystore.patterns import GROUP, expanded, is_several, matching, nearest
     from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
@@ -287,6 +288,7 @@ __all__ = [
     "policy_entry",
     "policy_of",
     "predates_approvals",
+    "public_files",
     "read_anchors",
     "read_head",
     "refuse_further_sets",

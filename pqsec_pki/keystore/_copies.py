@@ -2,6 +2,7 @@
 
 A change asks its ledger eight times, and a server makes one change after another. Without copies it
 spent most of its time reading the same lines. A copy is used again only if nothing was changed.
+While the keystore is locked, a question inside another one shares its copy.
 """
 
 import os
@@ -47,6 +48,8 @@ class LedgerCopy:
     was held."""
     hold: int = 0
     """The hold of the keystore's lock in which it was used last; 0 for none."""
+    users: int = 1
+    """How many ledgers are open with it."""
     fits: bytes = b""
     """The signed head whose lines it has: lines are only added, so it still has them."""
 
@@ -56,6 +59,15 @@ class LedgerCopy:
         database = sqlite3.connect(":memory:", isolation_level=None, check_same_thread=False)
         return cls(database, key, os.getpid(), time.time_ns())
 
+    def copied(self) -> "LedgerCopy":
+        """Another one with the same lines."""
+        copy = LedgerCopy.new(self.key)
+        limit = self.database.getlimit(sqlite3.SQLITE_LIMIT_LENGTH)
+        copy.database.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limit)
+        copy.database.deserialize(self.database.serialize())
+        copy.database.execute("PRAGMA trusted_schema = OFF")
+        return copy
+
     def __del__(self) -> None:
         """Close the database when its thread has ended, maybe from another thread."""
         self.database.close()
@@ -64,28 +76,59 @@ class LedgerCopy:
         """Whether it has what is at that place now, `key`."""
         if self.key != key or self.process != os.getpid():
             return False
-        excluded = self.hold and self.hold == _lock.hold_over(key.place)
-        return bool(excluded) or key.shows_changes_after(self.right_at)
+        return self.is_locked(key.place) or key.shows_changes_after(self.right_at)
+
+    def is_locked(self, place: str) -> bool:
+        """Whether the lock at `place` was not released since it was used last."""
+        return self.hold != 0 and self.hold == _lock.hold_over(place)
 
 
 class _Copies(threading.local):
     kept: LedgerCopy | None = None
+    shared: LedgerCopy | None = None
+    """One in use, opened while the keystore was locked: no other process adds lines."""
 
 
 _copies = _Copies()
 
 
 def take(key: CopyKey | None) -> LedgerCopy | None:
-    """The copy with that key, for this caller alone; None if there is none."""
-    kept = _copies.kept
+    """The copy with that key, to read; None if there is none."""
+    kept, shared = _copies.kept, _copies.shared
+    if key and shared and shared.is_locked(key.place) and shared.has_all(key):
+        shared.users += 1
+        return shared
     if key is None or kept is None or not kept.has_all(key):
         return None
     _copies.kept = None
     return kept
 
 
+def share(copy: LedgerCopy) -> None:
+    """Let others read the copy until it is changed, while the keystore is locked."""
+    if copy.key and (hold := _lock.hold_over(copy.key.place)):
+        copy.hold = hold
+        _copies.shared = copy
+
+
+def to_change(copy: LedgerCopy) -> LedgerCopy:
+    """The copy for this caller alone; another one if others read it."""
+    if copy is _copies.shared:
+        _copies.shared = None
+    if copy.users == 1:
+        return copy
+    copy.users -= 1
+    return copy.copied()
+
+
 def give_back(copy: LedgerCopy) -> None:
-    """Keep the copy, in place of the last one, or close it."""
+    """Keep the copy, in place of the last one, or close it; others may read it still."""
+    copy.users -= 1
+    if copy.users:
+        return
+    copy.users = 1
+    if copy is _copies.shared:
+        _copies.shared = None
     if copy.key is None:
         copy.database.close()
         return

@@ -85,6 +85,7 @@ class Ledger:
         self._place, self.set_name = store.place, set_name
         with self._errors("not a ledger: "):
             self._open: _copies.LedgerCopy | None = _updated(store) or _loaded(store)
+            _copies.share(self._open)
 
     @property
     def _copy(self) -> _copies.LedgerCopy:
@@ -118,6 +119,8 @@ class Ledger:
 
     def append(self, entries: Iterable[Entry]) -> None:
         """Add these lines in memory, all or none; existing lines are skipped."""
+        with self._errors():
+            self._open = _copies.to_change(self._copy)
         with self._errors(), _table.part_of_change(self._database):
             _table.append(self._database, entries)
 
@@ -347,7 +350,8 @@ def _updated(store: LedgerStore) -> _copies.LedgerCopy | None:
     """The last copy, with all lines of the store; None if there is none of it."""
     copy = _copies.take(store.key)
     if copy and not store.update(copy.database):
-        copy.database.close()
+        copy.key = None
+        _copies.give_back(copy)
         return None
     return copy
 

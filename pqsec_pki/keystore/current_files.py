@@ -108,9 +108,11 @@ class CurrentFiles:
         """
         return self._chosen(name, enclave_files(self.keystore.folder, name, self.linked))
 
-    def refuse_others(self, name: str) -> None:
-        """KeystoreError unless the files in the participant's folder are the current ones."""
-        here = enclave_files(self.keystore.folder, name, self.linked)
+    def refuse_others(self, name: str, here: Mapping[str, bytes]) -> None:
+        """KeystoreError unless `here`, the `public_files` of the participant, are the current ones.
+
+        It reads none of them again: what was compared is what the caller uses.
+        """
         folder = self.keystore.folder / layout.enclave_folder(name)
         for file, data in self._chosen(name, here).items():
             self._refuse_other(folder / file, here.get(file), data)

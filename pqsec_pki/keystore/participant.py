@@ -14,6 +14,8 @@ from pqsec_pki.keystore.patterns import nearest
 from pqsec_pki.problems import Code
 from pqsec_pki.tokens import stored_pin
 
+_PUBLIC = tuple(each for each in FILES if each not in KEYS)
+
 
 def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> Credentials:
     """The participant called `name` in the keystore at `root`, with its keys, also in tokens.
@@ -22,7 +24,7 @@ def load_participant(root: Path, name: str, passphrase: bytes | None = None) -> 
     cannot be read, PassphraseError for an encrypted key without `passphrase`.
     """
     folder = root / layout.enclave_folder(name)
-    files = _files(root, name, (*NEEDED, layout.KEY), {})
+    files = _files(root, name, FILES, (*NEEDED, layout.KEY), {})
     return Credentials.of(name, files, passphrase, pin=stored_pin, folder=folder)
 
 
@@ -36,18 +38,27 @@ def enclave_files(
     or a needed file is missing. FileError for a link that leads out of the keystore, or a key that
     is a link: a bundle must not contain other files of this machine.
     """
-    return _files(root, name, NEEDED, {} if linked is None else linked)
+    return _files(root, name, FILES, NEEDED, {} if linked is None else linked)
+
+
+def public_files(root: Path, name: str, linked: dict[str, bytes] | None = None) -> dict[str, bytes]:
+    """Like `enclave_files`, but the keys are not opened."""
+    return _files(root, name, _PUBLIC, NEEDED, {} if linked is None else linked)
 
 
 def _files(
-    root: Path, name: str, needed: tuple[str, ...], linked: dict[str, bytes]
+    root: Path,
+    name: str,
+    wanted: tuple[str, ...],
+    needed: tuple[str, ...],
+    linked: dict[str, bytes],
 ) -> dict[str, bytes]:
     refuse_unknown(root, name)
     folder = root / layout.enclave_folder(name)
     with disk_errors(folder):
         with os.scandir(folder) as found:
             is_link = {each.name: each.is_symlink() for each in found}
-        known = [each for each in FILES if each in is_link]
+        known = [each for each in wanted if each in is_link]
         links = {each for each in known if is_link[each]}
         there = [each for each in known if each not in links or exists(folder / each)]
         _refuse_incomplete(folder, name, there, needed, links)

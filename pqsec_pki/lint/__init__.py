@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from pqsec_pki.lint.document import GovernanceFile
     from pqsec_pki.lint.enclaves.size import largest_messages
     from pqsec_pki.lint.file import File
-    from pqsec_pki.lint.rule import Finding, Rule, Severity, Violation, lint_rule
+    from pqsec_pki.lint.rule import Finding, Rule, Severity, Violation, lint_rule, stacks_text
     from pqsec_pki.lint.run import LintReport, check
     from pqsec_pki.lint.sarif import to_sarif
     from pqsec_pki.lint.subjects import CertificateFile, Inventory
@@ -42,6 +42,7 @@ __all__ = [
     "largest_messages",
     "lint_rule",
     "rule_named",
+    "stacks_text",
     "take_inventory",
     "to_code_quality",
     "to_sarif",

@@ -23,10 +23,10 @@ def to_code_quality(report: LintReport) -> list[dict[str, Any]]:
         text = "\0".join((*same, str(seen[same])))
         issues.append(
             {
-                "description": f"{each.message} ({each.rule.title})",
+                "description": f"{each.message} ({each.rule.title}){each.stacks_in_brackets}",
                 "check_name": each.rule.id,
                 "fingerprint": hashlib.sha256(text.encode(errors="surrogateescape")).hexdigest(),
-                "severity": _SEVERITIES[each.rule.severity],
+                "severity": _SEVERITIES[each.severity],
                 "location": {"path": str(each.path), "lines": {"begin": each.line or 1}},
             }
         )

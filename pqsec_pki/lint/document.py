@@ -2,23 +2,30 @@
 
 from collections.abc import Iterator, Mapping
 from functools import cached_property
+from typing import ClassVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.documents import (
     DomainRule,
+    Extensions,
     Governance,
     Grant,
+    Kind,
     Node,
     Permissions,
+    Token,
     Tree,
     read_tree,
+    tokens_of,
     validate,
     with_line_feeds,
 )
 from pqsec_pki.errors import InvalidDocumentError, PqsecError
+from pqsec_pki.lint.documents._extensions import EXTENSIONS
 from pqsec_pki.lint.file import Content, File
-from pqsec_pki.lint.rule import Violation
+from pqsec_pki.lint.rule import Affected, Violation
 from pqsec_pki.problems import Problem
+from pqsec_pki.stacks import Stack
 
 ACTIONS = ("publish", "subscribe", "relay")
 """What a rule of permissions allows or denies."""
@@ -51,13 +58,26 @@ class ParsedText:
         """Differences from the schema, of text that is well-formed."""
         if self.permissions or self.governance:  # which are read if they are valid only
             return ()
+        return self._problems(None)
+
+    @cached_property
+    def problems_beyond(self) -> Mapping[Stack, tuple[Problem, ...]]:
+        """Likewise, by stacks that take more than the schema allows."""
+        return {stack: self._problems(each) for stack, each in EXTENSIONS.items()}
+
+    def _problems(self, extensions: Extensions | None) -> tuple[Problem, ...]:
         try:
-            validate(self.xml)
+            validate(self.xml, extensions)
         except InvalidDocumentError as error:
             return error.problems
         except PqsecError as error:
             return (Problem(str(error)),)
         return ()
+
+    @cached_property
+    def tokens(self) -> tuple[Token, ...]:
+        """Its markup as it is written; none if it is not well-formed."""
+        return tuple(tokens_of(self.xml)) if self.tree[0] else ()
 
     @cached_property
     def governance(self) -> Governance | None:
@@ -88,6 +108,8 @@ class Document(Content):
     A document that is neither has this class itself, not a subclass.
     """
 
+    kind: ClassVar[Kind | None] = None
+    """Which of the two documents it is."""
     text: ParsedText | None
     """None with `reason` if the S/MIME around the document cannot be read."""
 
@@ -141,9 +163,23 @@ class Document(Content):
         """Differences from the schema; line numbers are those of the document, not the file."""
         return self.text.problems if self.text and self.tree else ()
 
+    @property
+    def taken_by(self) -> Affected:
+        """The stacks that take it although it does not match the schema."""
+        if not self.text or not self.problems:
+            return {}
+        return {stack: "" for stack, left in self.text.problems_beyond.items() if not left}
+
+    @property
+    def tokens(self) -> tuple[Token, ...]:
+        """Its markup as it is written."""
+        return self.text.tokens if self.text else ()
+
 
 class GovernanceFile(Document):
     """A governance document."""
+
+    kind = Kind.GOVERNANCE
 
     @property
     def governance(self) -> Governance | None:
@@ -158,6 +194,8 @@ class GovernanceFile(Document):
 
 class PermissionsFile(Document):
     """A permissions document."""
+
+    kind = Kind.PERMISSIONS
 
     @property
     def permissions(self) -> Permissions | None:

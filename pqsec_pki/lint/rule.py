@@ -19,23 +19,36 @@ example: a piece of XML, a suppression file, or commands. rules.md is generated 
 texts, and `tests/cli/test_rule_examples.py` tries each example. `table` finds all modules here.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import field
 from enum import StrEnum
 from inspect import cleandoc
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeAlias, TypeVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.problems import Code
 from pqsec_pki.stacks import Stack
 
 Check = TypeVar("Check", bound=Callable[[Any], Iterable[Any]])
+Affected: TypeAlias = Mapping[Stack, str]
+"""The stacks for which a finding holds, each with its versions; "" means that none was found for
+which it does not. An empty one means all stacks, or that the finding is about security."""
 
 RULES: dict[str, "Rule"] = {}
 """By id, in the order in which modules were imported; `table` sorts them."""
-CYCLONES = "Cyclone DDS 0.10.2, 0.10.5, 11.0.1"
-SIX_STACKS = f"{CYCLONES}; Fast DDS 2.9.1, 3.1.2, 3.6.2"
-"""The stacks in which most rules were measured."""
+CYCLONE: Affected = {Stack.CYCLONEDDS: "0.10.2, 0.10.5, 11.0.1"}
+FAST: Affected = {Stack.FASTDDS: "2.9.1, 3.1.2, 3.6.2"}
+"""The versions in which most rules were measured."""
+
+
+def stacks_text(affected: Affected) -> str:
+    """Such as `Cyclone DDS 0.10.2, 11.0.1; OpenDDS`."""
+    return "; ".join(f"{stack.product} {affected[stack]}".strip() for stack in affected)
+
+
+CYCLONES = stacks_text(CYCLONE)
+SIX_STACKS = stacks_text({**CYCLONE, **FAST})
 FAMILIES = {
     "0": "frame",
     "1": "x509",
@@ -70,6 +83,10 @@ class Violation:
     """The path, if it differs from the subject's own path."""
     code: Code | None = None
     """The code of the problem, if it is one of the credentials."""
+    stacks: Affected | None = field(default=None, hash=False)
+    """The stacks for which it holds, if they are not those of its rule."""
+    severity: Severity | None = None
+    """If it is not that of the rule."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,8 +104,8 @@ class Rule:
     """The example of `bad`, corrected. Commands continue after those of `bad`."""
     scope: type
     check: Callable[[Any], Iterable[Violation]]
-    stacks: frozenset[Stack]
-    """The stacks that it affects; none means all, or that the rule is about security."""
+    stacks: Affected = field(hash=False)
+    """The stacks and versions for which it holds."""
     rows: tuple[str, ...] = ()
     """The measurements that it is based on (rows in docs/reference/rules.md)."""
     measured: str = ""
@@ -114,15 +131,23 @@ class Rule:
             "bad": self.bad,
             "good": self.good,
             "stacks": sorted(self.stacks),
+            "versions": dict(sorted(self.stacks.items())),
             "measured": self.measured,
             "only_when_asked": self.only_when_asked,
         }
 
-    def matters_to(self, targets: frozenset[str]) -> bool:
-        """Whether the rule runs for these targets; no targets means all."""
-        if not targets:
-            return not self.only_when_asked
-        return not self.stacks or bool(self.stacks & targets)
+    def matters_to(self, targets: Collection[str]) -> bool:
+        """Whether it holds for one of these targets; no targets means all."""
+        return is_about(self.stacks, targets) if targets else not self.only_when_asked
+
+    def runs_for(self, targets: Collection[str]) -> bool:
+        """Whether it can find anything for them: some findings hold for other stacks than it."""
+        return not self.only_when_asked or self.matters_to(targets)
+
+
+def is_about(affected: Affected, targets: Collection[str]) -> bool:
+    """Whether what holds for `affected` matters to one of these targets; no targets means all."""
+    return not (affected and targets) or any(stack in targets for stack in affected)
 
 
 def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
@@ -134,12 +159,16 @@ def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
     fix: str,
     bad: str,
     good: str,
-    stacks: Iterable[Stack] = (),
+    stacks: Affected | Iterable[Stack] = (),
     rows: Iterable[str] = (),
     measured: str = "",
     only_when_asked: bool = False,
 ) -> Callable[[Check], Check]:
-    """Register the decorated function as a rule; the class of its argument is the scope."""
+    """Register the decorated function as a rule; the class of its argument is the scope.
+
+    `stacks` without versions are meant with all of them. Without `measured`, the versions were run.
+    """
+    affected = stacks if isinstance(stacks, Mapping) else dict.fromkeys(stacks, "")
 
     def add(check: Check) -> Check:
         if id_ in RULES:
@@ -155,9 +184,9 @@ def lint_rule(  # noqa: PLR0913 -- the fields of a rule, most of them by name
             good=cleandoc(good),
             scope=scope,
             check=check,
-            stacks=frozenset(stacks),
+            stacks=affected,
             rows=tuple(rows),
-            measured=measured,
+            measured=measured or (stacks_text(affected) if any(affected.values()) else ""),
             only_when_asked=only_when_asked,
         )
         return check
@@ -175,16 +204,33 @@ class Finding:
     message: str
     code: Code | None = None
     """The reason for which the enclave's credentials are refused, if this is it."""
+    stacks: Affected = field(default_factory=dict, hash=False)
+    """The stacks and versions for which it holds."""
+    severity: Severity
+
+    @classmethod
+    def of(cls, rule: Rule, found: Violation, path: Path) -> Self:
+        """The finding for a violation of the rule, in the file at `path`."""
+        return cls(
+            rule=rule,
+            path=found.path or path,
+            line=found.line,
+            message=found.message,
+            code=found.code,
+            stacks=rule.stacks if found.stacks is None else found.stacks,
+            severity=found.severity or rule.severity,
+        )
 
     def to_json(self) -> dict[str, object]:
         """The finding for --json."""
         return {
             "rule": self.rule.id,
-            "severity": self.rule.severity,
+            "severity": self.severity,
             "code": self.code,
             "path": self.path,
             "line": self.line,
             "message": self.message,
+            "stacks": dict(sorted(self.stacks.items())),
             "title": self.rule.title,
             "fix": self.rule.fix,
         }
@@ -194,5 +240,12 @@ class Finding:
         """The path, with the line if there is one: FILE:12."""
         return f"{self.path}:{self.line}" if self.line else str(self.path)
 
+    @property
+    def stacks_in_brackets(self) -> str:
+        """The stacks and versions for which it holds, in brackets after a space, if some."""
+        return f" [{stacks_text(self.stacks)}]" if self.stacks else ""
+
     def __str__(self) -> str:
-        return f"{self.place}: {self.rule.severity} {self.rule.id} {self.message}"
+        return (
+            f"{self.place}: {self.severity} {self.rule.id} {self.message}{self.stacks_in_brackets}"
+        )

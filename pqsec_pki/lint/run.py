@@ -16,7 +16,7 @@ from pqsec_pki.lint.document import PlainPermissions
 from pqsec_pki.lint.enclaves.trust import without_repetitions
 from pqsec_pki.lint.keystores.files import PRIVATE
 from pqsec_pki.lint.keystores.incomplete import UNREAD
-from pqsec_pki.lint.rule import Finding, Rule, Severity
+from pqsec_pki.lint.rule import Finding, Rule, Severity, is_about
 from pqsec_pki.lint.subjects import CompareHead, Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
 from pqsec_pki.lint.table import RULES
@@ -37,7 +37,7 @@ class LintReport:
 
     def count(self, severity: Severity) -> int:
         """How many findings are of that severity."""
-        return sum(finding.rule.severity is severity for finding in self.findings)
+        return sum(finding.severity is severity for finding in self.findings)
 
     def is_clean(self, *, strict: bool = False) -> bool:
         """Whether there is no error and, with `strict`, no warning."""
@@ -98,7 +98,8 @@ def check(  # noqa: PLR0913 -- one for each option
     files = list(_suppression_files(named, tuple(ignore), asked, now.date()))
     kept: list[Finding] = []
     ignored: list[tuple[Finding, str]] = []
-    for finding in _findings(asked, inventory):
+    running = [rule for rule in RULES.values() if rule.runs_for(meant)]
+    for finding in _findings(running, inventory, meant):
         taken = next((entry for file in files if (entry := file.take(finding))), None)
         if taken:
             ignored.append((finding, taken.reason))
@@ -118,10 +119,12 @@ def _is_of_ca_keys(path: Path, known: Container[Path]) -> bool:
 
 def _order(finding: Finding) -> tuple[Path, int, int, str, str]:
     rule = finding.rule
-    return (finding.path, finding.line or 0, _RANK[rule.severity], rule.id, finding.message)
+    return (finding.path, finding.line or 0, _RANK[finding.severity], rule.id, finding.message)
 
 
-def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
+def _findings(
+    running: Iterable[Rule], inventory: Inventory, targets: frozenset[str]
+) -> Iterator[Finding]:
     subjects = (
         *inventory.files,
         *inventory.documents,
@@ -131,11 +134,12 @@ def _findings(asked: Iterable[Rule], inventory: Inventory) -> Iterator[Finding]:
         *inventory.enclaves,
     )
     checked = counted(subjects, len(subjects), "subjects")
-    return without_repetitions(_answers(asked, checked), inventory)
+    found = (each for each in _answers(running, checked) if is_about(each.stacks, targets))
+    return without_repetitions(found, inventory)
 
 
-def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:
-    rules = list(asked)
+def _answers(running: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Finding]:
+    rules = list(running)
     of_class: dict[type, list[Rule]] = {}
     for subject in subjects:
         kind = type(subject)
@@ -143,9 +147,7 @@ def _answers(asked: Iterable[Rule], subjects: Iterable[object]) -> Iterator[Find
             of_class[kind] = [rule for rule in rules if _concerns(rule, kind)]
         for rule in of_class[kind]:
             for found in rule.check(subject):
-                path = found.path or subject.path  # type: ignore[attr-defined] # all have one
-                line, message, code = found.line, found.message, found.code
-                yield Finding(rule=rule, path=path, line=line, message=message, code=code)
+                yield Finding.of(rule, found, subject.path)  # type: ignore[attr-defined] # all have one
 
 
 def _concerns(rule: Rule, kind: type) -> bool:

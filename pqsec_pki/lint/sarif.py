@@ -5,7 +5,7 @@ from typing import Any
 from urllib.parse import quote
 
 from pqsec_pki import __version__
-from pqsec_pki.lint.rule import Finding, Rule, Severity
+from pqsec_pki.lint.rule import Finding, Rule, Severity, stacks_text
 from pqsec_pki.lint.run import LintReport
 from pqsec_pki.lint.table import RULES
 
@@ -49,14 +49,15 @@ def _result(finding: Finding, places: dict[str, int]) -> dict[str, Any]:
     location: dict[str, Any] = {"artifactLocation": {"uri": _uri(finding.path)}}
     if finding.line:
         location["region"] = {"startLine": finding.line}
-    code = {"properties": {"code": finding.code.value}} if finding.code else {}
+    more = {"code": finding.code.value} if finding.code else {}
+    more |= {"stacks": stacks_text(finding.stacks)} if finding.stacks else {}
     return {
         "ruleId": finding.rule.id,
         "ruleIndex": places[finding.rule.id],
-        "level": _LEVELS[finding.rule.severity],
+        "level": _LEVELS[finding.severity],
         "message": {"text": finding.message},
         "locations": [{"physicalLocation": location}],
-        **code,
+        **({"properties": more} if more else {}),
     }
 
 

@@ -6,7 +6,7 @@ from functools import cached_property
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import BROKEN_DIGESTS
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, same_name
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.lint._keys import key_kind, key_of
@@ -80,9 +80,9 @@ def is_by(signer: ListedSigner, certificate: Certificate) -> bool:
     """Whether the signature names `certificate` as its signer."""
     if signer.key_identifier is not None:
         return signer.key_identifier == certificate.subject_key_identifier
-    if signer.serial_number != certificate.serial_number:
+    if signer.issuer_der is None or signer.serial_number != certificate.serial_number:
         return False
-    return signer.issuer == certificate.issuer_name
+    return same_name(signer.issuer_der, certificate.issuer_der)
 
 
 def broken_digests(file: File) -> tuple[str, ...]:

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from pqsec_pki.policy.answers import Answer, DomainsAnswer
     from pqsec_pki.policy.differences import DocumentDifference, differences_between
     from pqsec_pki.policy.fleet import Fleet, fleet_in, fleet_of
+    from pqsec_pki.policy.flow import Flow, flows
     from pqsec_pki.policy.loading import (
         Loaded,
         document_at,
@@ -31,7 +32,7 @@ if TYPE_CHECKING:
         valid_kind,
     )
     from pqsec_pki.policy.named_rights import NamedRight, RightAnswer, Use, answer_right
-    from pqsec_pki.policy.one_sided import doubtful_topics
+    from pqsec_pki.policy.one_sided import doubtful_topics, locale_doubt
     from pqsec_pki.policy.participants import (
         PolicyInput,
         own_permissions,
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
         shared_governance,
     )
     from pqsec_pki.policy.reasons import Explanation, reason_of
-    from pqsec_pki.policy.who_may import Flow, WhoMay, flows, who_may_by_each, who_may_use
+    from pqsec_pki.policy.who_may import WhoMay, who_may_by_each, who_may_use
 else:
     __getattr__ = lazy_exports(__name__, __file__)
 
@@ -64,6 +65,7 @@ __all__ = [
     "fleet_of",
     "flows",
     "governance_in",
+    "locale_doubt",
     "only_subject",
     "own_permissions",
     "permissions_in",

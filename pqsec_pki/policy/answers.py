@@ -6,7 +6,6 @@ from datetime import timedelta
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import (
-    FASTDDS,
     INTERPRETATIONS,
     SPEC,
     Action,
@@ -20,6 +19,7 @@ from pqsec_pki.access import (
 )
 from pqsec_pki.documents import DomainRange, DomainSet, Grant
 from pqsec_pki.policy.participants import PolicyInput
+from pqsec_pki.stacks import Stack
 
 _MAX_UTC_OFFSET = timedelta(hours=14)
 """The largest difference between a local time and UTC."""
@@ -39,8 +39,13 @@ class Answer:
 
     @property
     def word(self) -> str:
-        """`yes` or `no`."""
-        return "yes" if self.decision.allowed else "no"
+        """`yes`, `no`, `crashes` or `readers differ`."""
+        return self.decision.verdict.value
+
+    @property
+    def is_known(self) -> bool:
+        """Whether it is yes or no."""
+        return self.decision.verdict.is_known
 
     @property
     def disagreement(self) -> str:
@@ -62,19 +67,20 @@ class Answer:
         place = policy_input.place(self.decision)
         return {
             "as": self.interpretation.name,
-            "allowed": self.decision.allowed,
+            "allowed": self.decision.yes_or_no,
+            "answer": self.word,
             "reason": self.decision.reason,
             "file": str(place[0]) if place else None,
             "line": place[1] if place else None,
             "criteria_line": policy_input.criteria_line(self.decision),
-            "own_stack": self.own,
-            "peers": self.peers,
+            "own_stack": self.own if self.is_known else None,
+            "peers": self.peers if self.is_known else None,
             "hazard": self.hazard or None,
         }
 
     def differs(self, other: "Answer") -> bool:
-        """Whether only one of the two allows it."""
-        return self.decision.allowed is not other.decision.allowed
+        """Whether their verdicts differ."""
+        return self.decision.verdict is not other.decision.verdict
 
 
 def answer_of(
@@ -92,7 +98,7 @@ def answer_of(
         hazard=_zone_hazard(
             interpretation.grant_for(policy_input.permissions.value, question), question
         )
-        if interpretation is FASTDDS
+        if interpretation.stack == Stack.FASTDDS
         else "",
     )
 
@@ -148,7 +154,7 @@ class DomainsAnswer:
         """A key: equal where the same parts of the documents decide, by each interpretation."""
         answers = tuple(
             (
-                each.decision.allowed,
+                each.decision.verdict,
                 policy_input.place(each.decision),
                 each.disagreement,
                 each.hazard,
@@ -190,7 +196,11 @@ def _answered(
     chosen: Sequence[Interpretation],
     domains: DomainSet,
 ) -> DomainsAnswer:
-    answers = [answer_of(policy_input, question, each) for each in chosen or INTERPRETATIONS]
+    answers = [
+        answer
+        for each in chosen or INTERPRETATIONS
+        for answer in _in_locales(policy_input, question, each)
+    ]
     denials = (each for each in answers if not each.decision.allowed)
     answer = next(denials, answers[0]) if chosen else answers[0]
     join = replace(question, action=Action.JOIN, topic=None)
@@ -203,9 +213,24 @@ def _answered(
     )
 
 
+def _in_locales(
+    policy_input: PolicyInput, question: Question, interpretation: Interpretation
+) -> list[Answer]:
+    """The answer; those in C and in C.UTF-8 if it depends on the locale."""
+    every = interpretation.locales or (interpretation,)
+    answers = [answer_of(policy_input, question, each) for each in every]
+    if any(each.differs(answers[0]) for each in answers):
+        return answers
+    return [replace(answers[0], interpretation=interpretation)]
+
+
 def allows_each(
     policy_input: PolicyInput, question: Question, chosen: Sequence[Interpretation]
 ) -> bool:
-    """Whether each of the chosen interpretations, or without any the standard, allows it."""
-    answers = (answer_of(policy_input, question, each) for each in chosen or (SPEC,))
+    """Whether each of the chosen interpretations, or without any the standard, allows it.
+
+    A chosen one in each locale, the standard as in C.
+    """
+    every = [row for each in chosen for row in each.locales or (each,)] or [SPEC]
+    answers = (answer_of(policy_input, question, each) for each in every)
     return all(each.decision.allowed for each in answers)

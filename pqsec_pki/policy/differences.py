@@ -98,15 +98,7 @@ def _as_json(change: Change) -> dict[str, object]:
         "as": change.interpretation,
         "subject": change.subject or None,
         "actions": [action.value for action in change.actions],
-        "topics": [
-            {
-                "name": topics.name,
-                "extent": topics.extent.value,
-                "such_as": topics.such_as or None,
-                "but": list(topics.but),
-            }
-            for topics in change.topics
-        ],
+        "topics": [topics.to_json() for topics in change.topics],
         "where": change.domains,
         "text": change.text,
     }

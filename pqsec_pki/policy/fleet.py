@@ -8,6 +8,7 @@ from dataclasses import field
 from datetime import datetime
 from functools import partial
 from pathlib import Path
+from typing import TypeGuard
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists, is_folder, walk
@@ -24,8 +25,8 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import SETTINGS, CurrentFiles, Keystore, expanded
-from pqsec_pki.policy.loading import Document, document_at, governance_in
+from pqsec_pki.keystore import SETTINGS, CurrentFiles, Keystore, expanded, public_files
+from pqsec_pki.policy.loading import Document, Loaded, document_at, governance_in
 from pqsec_pki.policy.participants import (
     PolicyInput,
     identity_of,
@@ -50,7 +51,7 @@ class Fleet:
     notes: tuple[str, ...] = ()
     """What was assumed, or not checked."""
     inputs: dict[str, PolicyInput] = field(default_factory=dict, repr=False)
-    """With a keystore, each member's documents as read, for the place of a rule."""
+    """Each member's documents as read, for the place of a rule."""
     keystore: Keystore | None = field(default=None, repr=False)
 
     def named(self, names: Iterable[str]) -> list[str]:
@@ -104,21 +105,22 @@ def _fleet_of(
 ) -> Fleet:
     anchors = valid_anchors(anchors, now)
     check = partial(anchors.verified, now=now)
-    governance = shared_governance(keystore, check)
+    governance = shared_governance(keystore, check, any_markup=True)
     members, refused = list[DocumentOwner](), dict[str, str]()
     inputs = dict[str, PolicyInput]()
-    names = keystore.names_of_all()
+    names, linked = keystore.names_of_all(), dict[str, bytes]()
     for name in counted(names, len(names), "participants"):
         try:
-            certificate = identity_of(keystore, name, anchors, now)
+            files = public_files(keystore.folder, name, linked)
+            certificate = identity_of(keystore, name, anchors, now, files)
             subject = certificate.subject_name
-            own = own_permissions(keystore, name, now, check)
+            own = own_permissions(keystore, name, now, check, files, any_markup=True)
             with located(own.path):
                 _refuse_ungranted(own.value, subject, now, readings)
-            if own_governance(keystore, name, governance, check) != governance.value:
+            if own_governance(keystore, name, governance, check, files) != governance.value:
                 raise VerificationError("its governance differs from the governance of the others")
             if current:
-                current.refuse_others(name)
+                current.refuse_others(name, files)
         except PqsecError as error:
             _refuse_unreadable(error)
             refused[name] = str(error)
@@ -146,16 +148,15 @@ def _refuse_ungranted(
 def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> Fleet:
     notes = list[str]()
     documents, refused = _documents(paths, now)
-    found = [(each.path, each.value) for each in documents if isinstance(each.value, Permissions)]
+    found = list(filter(_has_permissions, documents))
     if not found:
         raise FileError(
             "there is no permissions document", hint="name files, or a folder with files"
         )
     if governance:
-        documents = [each for each in documents if isinstance(each.value, Permissions)]
-        documents.append(governance_in(governance))
-    governing = [each.value for each in documents if isinstance(each.value, Governance)]
-    if len(set(governing)) > 1:
+        documents = [*found, governance_in(governance, any_markup=True)]
+    governing = list(filter(_has_governance, documents))
+    if len({each.value for each in governing}) > 1:
         raise UsageError(
             "there is more than one governance document", hint="choose one: --governance FILE"
         )
@@ -163,11 +164,24 @@ def _in_files(paths: Iterable[Path], governance: Path | None, now: datetime) -> 
         notes.append(
             "there is no governance document: everything is assumed to be access-controlled"
         )
-        governing = [Governance.protected(DomainSet(parts=(DomainRange(first=0),)))]
+        assumed = Governance.protected(DomainSet(parts=(DomainRange(first=0),)))
+        governing = [Loaded(Path(), assumed, signed=False, verified=False, before=0)]
     if any(each.signed for each in documents):
         notes.append("the signatures of the documents were not checked")
-    members = list(_members(found, refused))
-    return Fleet(governing[0], members, refused, tuple(notes))
+    inputs = {each.who: each for each in _inputs(found, governing[0], refused)}
+    members = [
+        DocumentOwner(name=name, subject=each.subject, permissions=each.permissions.value)
+        for name, each in inputs.items()
+    ]
+    return Fleet(governing[0].value, members, refused, tuple(notes), inputs)
+
+
+def _has_permissions(document: Document) -> TypeGuard[Loaded[Permissions]]:
+    return isinstance(document.value, Permissions)
+
+
+def _has_governance(document: Document) -> TypeGuard[Loaded[Governance]]:
+    return isinstance(document.value, Governance)
 
 
 def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], dict[str, str]]:
@@ -176,7 +190,7 @@ def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], di
     refused: dict[str, str] = {}
     for path, is_named in _files(paths):
         try:
-            found.append(document_at(path, now))
+            found.append(document_at(path, now, any_markup=True))
         except PqsecError as error:
             if is_named:
                 raise
@@ -185,24 +199,26 @@ def _documents(paths: Iterable[Path], now: datetime) -> tuple[list[Document], di
     return found, refused
 
 
-def _members(
-    found: list[tuple[Path, Permissions]], refused: dict[str, str]
-) -> Iterator[DocumentOwner]:
+def _inputs(
+    found: list[Loaded[Permissions]], governance: Loaded[Governance], refused: dict[str, str]
+) -> Iterator[PolicyInput]:
     """Each subject of each document; its name has the file if several files have the subject."""
     subjects = [
-        (path, permissions, subject)
-        for path, permissions in found
-        for subject in dict.fromkeys(each.subject_name for each in permissions.grants)
+        (document, subject)
+        for document in found
+        for subject in dict.fromkeys(each.subject_name for each in document.value.grants)
     ]
-    times = Counter(subject for *_, subject in subjects)
-    for path, permissions, subject in subjects:
-        name = subject if times[subject] == 1 else f"{subject} ({path})"
+    times = Counter(subject for _, subject in subjects)
+    for document, subject in subjects:
+        name = subject if times[subject] == 1 else f"{subject} ({document.path})"
         try:
             parse_subject(subject)
         except MalformedError as error:
             refused[name] = str(error)
         else:
-            yield DocumentOwner(name=name, subject=subject, permissions=permissions)
+            yield PolicyInput(
+                who=name, subject=subject, governance=governance, permissions=document
+            )
 
 
 def _files(paths: Iterable[Path]) -> Iterator[tuple[Path, bool]]:

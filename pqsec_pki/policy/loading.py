@@ -18,8 +18,8 @@ from pqsec_pki.documents import (
     permissions_from_yaml,
     validate,
 )
-from pqsec_pki.errors import UsageError, VerificationError, located
-from pqsec_pki.problems import Code
+from pqsec_pki.errors import InvalidDocumentError, UsageError, VerificationError, located
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.smime import SignedFile, Verified, document_in, is_signed
 
 Value = TypeVar("Value", Governance, Permissions)
@@ -57,41 +57,67 @@ def signed_by(path: Path, now: datetime) -> Check:
     return partial(TrustAnchors(identity_cas=(), permissions_ca=ca).verified, now=now)
 
 
-def governance_in(path: Path, check: Check | None = None) -> Loaded[Governance]:
-    """The governance document at `path`: XML, signed or not, or YAML."""
-    return _governance(path, read(path), check)
+def governance_in(
+    path: Path, check: Check | None = None, data: bytes | None = None, *, any_markup: bool = False
+) -> Loaded[Governance]:
+    """The governance document at `path`: XML, signed or not, or YAML; `data` is what it has.
+
+    `any_markup`, here and below: also with markup in values, for questions, which then answer
+    `readers differ`.
+    """
+    data = read(path) if data is None else data
+    return _governance(path, data, check, any_markup=any_markup)
 
 
-def permissions_in(path: Path, now: datetime, check: Check | None = None) -> Loaded[Permissions]:
-    """The permissions document at `path`; durations such as `1y` in YAML count from `now`."""
-    return _permissions(path, read(path), now, check)
+def permissions_in(
+    path: Path,
+    now: datetime,
+    check: Check | None = None,
+    data: bytes | None = None,
+    *,
+    any_markup: bool = False,
+) -> Loaded[Permissions]:
+    """The permissions document at `path`; durations such as `1y` in YAML count from `now`.
+
+    `data` is what it has, if it was read before.
+    """
+    data = read(path) if data is None else data
+    return _permissions(path, data, now, check, any_markup=any_markup)
 
 
-def document_at(path: Path, now: datetime) -> Document:
+def document_at(path: Path, now: datetime, *, any_markup: bool = False) -> Document:
     """A document of either kind. Reads `path` once, because it may be a pipe."""
-    return _document(path, read(path), now)
+    return _document(path, read(path), now, any_markup=any_markup)
 
 
-def valid_kind(path: Path, now: datetime) -> Kind:
+def valid_kind(path: Path, now: datetime) -> tuple[Kind, tuple[Problem, ...]]:
     """The kind of the document at `path`, which is valid: XML by its schema, else its YAML.
 
+    And why it cannot be signed all the same, as it crashes a stack, or readers differ.
     InvalidDocumentError with each problem and its line; MalformedError for another file.
     """
     data = read(path)
     if _is_yaml(path, data):
-        return kind_of(_document(path, data, now))
-    return validate(document_in(data) if is_signed(data) else data)
+        kind = kind_of(_document(path, data, now))
+    else:
+        kind = validate(document_in(data) if is_signed(data) else data)
+    try:
+        _document(path, data, now).value.to_xml()
+    except InvalidDocumentError as error:
+        return kind, error.problems
+    return kind, ()
 
 
-def _document(path: Path, data: bytes, now: datetime) -> Document:
+def _document(path: Path, data: bytes, now: datetime, *, any_markup: bool = False) -> Document:
     with located(path):
         if _is_yaml(path, data):
             kind = Kind.PERMISSIONS if _GRANTS.search(data) else Kind.GOVERNANCE
         else:
-            kind = validate(document_in(data) if is_signed(data) else data)
+            xml = document_in(data) if is_signed(data) else data
+            kind = validate(xml, any_markup=any_markup)
     if kind is Kind.GOVERNANCE:
-        return _governance(path, data)
-    return _permissions(path, data, now)
+        return _governance(path, data, any_markup=any_markup)
+    return _permissions(path, data, now, any_markup=any_markup)
 
 
 def kind_of(document: Document) -> Kind:
@@ -110,15 +136,23 @@ def only_subject(permissions: Loaded[Permissions]) -> str:
     return subjects.pop()
 
 
-def _governance(path: Path, data: bytes, check: Check | None = None) -> Loaded[Governance]:
-    return _loaded(path, data, check, Governance.from_xml, governance_from_yaml)
+def _governance(
+    path: Path, data: bytes, check: Check | None = None, *, any_markup: bool = False
+) -> Loaded[Governance]:
+    from_xml = partial(Governance.from_xml, any_markup=any_markup)
+    return _loaded(path, data, check, from_xml, governance_from_yaml)
 
 
 def _permissions(
-    path: Path, data: bytes, now: datetime, check: Check | None = None
+    path: Path,
+    data: bytes,
+    now: datetime,
+    check: Check | None = None,
+    *,
+    any_markup: bool = False,
 ) -> Loaded[Permissions]:
-    from_yaml = partial(permissions_from_yaml, now=now)
-    return _loaded(path, data, check, Permissions.from_xml, from_yaml)
+    from_xml = partial(Permissions.from_xml, any_markup=any_markup)
+    return _loaded(path, data, check, from_xml, partial(permissions_from_yaml, now=now))
 
 
 def _loaded(

@@ -11,6 +11,7 @@ from pqsec_pki.access import (
     DocumentOwner,
     Interpretation,
     Question,
+    Verdict,
     domains_named,
     topics_asked,
     topics_named,
@@ -76,6 +77,19 @@ class RightAnswer:
     by: tuple[str, ...]
     """The titles of the interpretations that must allow it."""
 
+    @property
+    def word(self) -> str:
+        """`yes`; else what is not known of a topic, `crashes` or `readers differ`; else `no`."""
+        if self.allowed:
+            return Verdict.YES.value
+        answers = (each.answer for use in self.uses for each in use.answers)
+        return next((each.word for each in answers if not each.is_known), Verdict.NO.value)
+
+    @property
+    def yes_or_no(self) -> bool | None:
+        """Whether it is allowed; None if that is not known."""
+        return self.allowed if Verdict(self.word).is_known else None
+
     def different(self) -> list[str]:
         """The stacks that decide differently about at least one topic."""
         found = (
@@ -92,7 +106,8 @@ class RightAnswer:
         return {
             "participant": self.policy_input.who,
             "right": self.right.words,
-            "allowed": self.allowed,
+            "allowed": self.yes_or_no,
+            "answer": self.word,
             "topics": [
                 {
                     **each.to_json(self.policy_input),

@@ -3,7 +3,13 @@
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import datetime
 
-from pqsec_pki.access import CriteriaRight, open_rights, rights_of, without_counterpart
+from pqsec_pki.access import (
+    CriteriaRight,
+    follows_locale,
+    open_rights,
+    rights_of,
+    without_counterpart,
+)
 from pqsec_pki.documents import ros
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
@@ -17,8 +23,8 @@ participant must not wait for 2,000. `pqsec check` has no limit."""
 def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> Iterator[str]:
     """What is doubtful about the topics of these participants, in words; no signature is checked.
 
-    A doubled slash; and a topic without a counterpart, if a topic with a similar spelling has one.
-    Nothing if a document cannot be read.
+    A doubled slash, a pattern that depends on the locale; and a topic without a counterpart, if a
+    topic with a similar spelling has one. Nothing if a document cannot be read.
     """
     try:
         rights, chosen = _rights(keystore, now), set(names)
@@ -28,7 +34,17 @@ def doubtful_topics(keystore: Keystore, names: Iterable[str], now: datetime) -> 
     topics = (topic for each in own for topic in each.topics)
     for topic in dict.fromkeys(filter(ros.doubled_slash, topics)):
         yield f"{topic} has //, which no ROS 2 name may have"
+    patterns = (name for each in own for name in (*each.topics, *each.partitions))
+    yield from map(locale_doubt, dict.fromkeys(filter(follows_locale, patterns)))
     yield from (str(each) for each in without_counterpart(own, rights) if each.meant)
+
+
+def locale_doubt(pattern: str) -> str:
+    """What is doubtful about a pattern that depends on the locale, and the way out."""
+    return (
+        f"what {pattern} matches in Fast DDS depends on the locale of the process (PQS244): list"
+        " ASCII characters, as [0-9a-z], or write a star"
+    )
 
 
 def _rights(keystore: Keystore, now: datetime) -> Sequence[CriteriaRight]:

@@ -1,27 +1,28 @@
 """The policy of a participant: its verified governance and permissions, from a keystore."""
 
+from collections.abc import Mapping
 from datetime import datetime
 from functools import partial
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
-from pqsec_pki.access import SPEC, Decision, Interpretation, Question
+from pqsec_pki.access import SPEC, Decision, Interpretation, Markup, Question
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
     CERTIFICATE,
     ENCLAVES,
     GOVERNANCE,
-    KEYS,
     PERMISSIONS,
     Credentials,
     TrustAnchors,
+    only_certificate,
     subject_problems,
     verify_credentials,
 )
-from pqsec_pki.documents import DomainRule, Governance, Permissions, TopicRule
-from pqsec_pki.errors import MissingError, VerificationError, located
-from pqsec_pki.keystore import Keystore, enclave_files, load_certificate, regular_name
+from pqsec_pki.documents import DomainRule, Governance, Kind, Permissions, TopicRule
+from pqsec_pki.errors import VerificationError, located
+from pqsec_pki.keystore import Keystore, public_files, regular_name
 from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
 from pqsec_pki.problems import Code
 
@@ -49,7 +50,10 @@ class PolicyInput:
     def place(self, decision: Decision) -> tuple[Path, int] | None:
         """The file and line of the rule that decided."""
         part = decision.decided_by
-        source = self.governance if isinstance(part, DomainRule | TopicRule) else self.permissions
+        governing = isinstance(part, DomainRule | TopicRule) or (
+            isinstance(part, Markup) and part.document is Kind.GOVERNANCE
+        )
+        source = self.governance if governing else self.permissions
         line = source.line(part.line) if part else None
         return (source.path, line) if line else None
 
@@ -83,17 +87,19 @@ def valid_anchors(anchors: TrustAnchors, now: datetime) -> TrustAnchors:
     return anchors
 
 
-def identity_of(keystore: Keystore, name: str, anchors: TrustAnchors, now: datetime) -> Certificate:
+def identity_of(
+    keystore: Keystore,
+    name: str,
+    anchors: TrustAnchors,
+    now: datetime,
+    files: Mapping[str, bytes],
+) -> Certificate:
     """A participant's certificate. VerificationError if it is not valid, or is revoked.
 
-    KeystoreError for an unknown participant.
+    `files` are its `public_files`, here and in the functions below.
     """
     path = enclave_file(keystore, name, CERTIFICATE)
-    try:
-        certificate = load_certificate(path)
-    except MissingError:
-        keystore.refuse_unknown(name)  # which knows why
-        raise
+    certificate = only_certificate(files[CERTIFICATE], str(path))
     with located(path):
         problems = (
             *anchors.identity_problems(certificate, now),
@@ -114,47 +120,70 @@ def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput
     keystore.refuse_unknown(name)
     anchors = valid_anchors(keystore.anchors, now)
     check = partial(anchors.verified, now=now)
-    certificate = identity_of(keystore, name, anchors, now)
+    files = public_files(keystore.folder, regular_name(name))
+    certificate = identity_of(keystore, name, anchors, now, files)
     policy_input = PolicyInput(
         who=regular_name(name),
         subject=certificate.subject_name,
         not_after=min(certificate.not_after, anchors.not_after),
         keys=" and ".join(each.algorithm.name for each in certificate.own_keys),
-        governance=governance_in(enclave_file(keystore, name, GOVERNANCE), check),
-        permissions=own_permissions(keystore, name, now, check),
+        governance=governance_in(
+            enclave_file(keystore, name, GOVERNANCE), check, files[GOVERNANCE], any_markup=True
+        ),
+        permissions=own_permissions(keystore, name, now, check, files, any_markup=True),
     )
-    _refuse_enclave(keystore, policy_input.who, now)
+    _refuse_enclave(policy_input, files, now)
     return policy_input
 
 
-def _refuse_enclave(keystore: Keystore, name: str, now: datetime) -> None:
-    """VerificationError if its own stack would refuse the enclave, apart from its grants."""
-    files = enclave_files(keystore.folder, name)
-    public = {file: data for file, data in files.items() if file not in KEYS}
+def _refuse_enclave(policy_input: PolicyInput, files: Mapping[str, bytes], now: datetime) -> None:
+    """VerificationError if its own stack would refuse the enclave, apart from its grants.
+
+    Documents with markup in values are read here as valid: `readers differ` is the answer.
+    """
+    name, answered = policy_input.who, _GRANT_PROBLEMS
+    if policy_input.governance.value.markup or policy_input.permissions.value.markup:
+        answered = answered | {Code.DOCUMENT_INVALID}
     try:
-        verify_credentials(Credentials.of(name, public), now=now)
+        verify_credentials(Credentials.of(name, files), now=now)
     except VerificationError as error:
-        problems = [each for each in error.problems if each.code not in _GRANT_PROBLEMS]
+        problems = [each for each in error.problems if each.code not in answered]
         if problems:
             raise VerificationError(*problems, hint=error.hint) from error
 
 
-def own_permissions(
-    keystore: Keystore, name: str, now: datetime, check: Check | None
+def own_permissions(  # noqa: PLR0913 -- what is known of it, the rarer ones by name
+    keystore: Keystore,
+    name: str,
+    now: datetime,
+    check: Check | None,
+    files: Mapping[str, bytes] | None = None,
+    *,
+    any_markup: bool = False,
 ) -> Loaded[Permissions]:
-    """The permissions document of a participant."""
-    return permissions_in(enclave_file(keystore, name, PERMISSIONS), now, check)
+    """The permissions document of a participant; `any_markup` as in `permissions_in`."""
+    path, data = enclave_file(keystore, name, PERMISSIONS), files[PERMISSIONS] if files else None
+    return permissions_in(path, now, check, data, any_markup=any_markup)
 
 
-def shared_governance(keystore: Keystore, check: Check | None) -> Loaded[Governance]:
-    """The governance document of the keystore."""
-    return governance_in(keystore.folder / ENCLAVES / GOVERNANCE, check)
+def shared_governance(
+    keystore: Keystore, check: Check | None, *, any_markup: bool = False
+) -> Loaded[Governance]:
+    """The governance document of the keystore; `any_markup` as in `governance_in`."""
+    return governance_in(keystore.folder / ENCLAVES / GOVERNANCE, check, any_markup=any_markup)
 
 
 def own_governance(
-    keystore: Keystore, name: str, shared: Loaded[Governance], check: Check | None
+    keystore: Keystore,
+    name: str,
+    shared: Loaded[Governance],
+    check: Check | None,
+    files: Mapping[str, bytes] | None = None,
 ) -> Governance:
     """The governance of a participant, normally a link to the shared one."""
     path = enclave_file(keystore, name, GOVERNANCE)
     is_shared = not exists(path) or path.samefile(shared.path)
-    return shared.value if is_shared else governance_in(path, check).value
+    if is_shared:
+        return shared.value
+    data, any_markup = files[GOVERNANCE] if files else None, bool(shared.value.markup)
+    return governance_in(path, check, data, any_markup=any_markup).value

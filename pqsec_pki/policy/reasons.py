@@ -25,13 +25,19 @@ def reason_of(  # noqa: PLR0913 -- what is asked, by name
     domain: int,
     now: datetime,
     interpretation: Interpretation,
+    partitions: tuple[str, ...] = (),
 ) -> Explanation:
     """Why the participant may, or may not, do that with the topic on that domain at `now`."""
     policy = InterpretedPolicy(
         policy_input.governance.value, policy_input.permissions.value, interpretation
     )
     question = Question(
-        subject=policy_input.subject, domain=domain, action=action, now=now, topic=topic
+        subject=policy_input.subject,
+        domain=domain,
+        action=action,
+        now=now,
+        topic=topic,
+        partitions=partitions,
     )
     decision = policy.decide(question)
     place = policy_input.place(decision)

@@ -172,7 +172,7 @@ class _ReportMaker:
         rule = alike[0].rule
         return FindingGroup(
             rule=rule.id,
-            severity=rule.severity,
+            severity=min((each.severity for each in alike), key=_RANK.__getitem__),
             title=rule.title,
             why=rule.why,
             fix=rule.fix,

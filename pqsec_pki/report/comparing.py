@@ -262,12 +262,12 @@ def _less(
         return ()
     held: dict[tuple[str, str, str], list[str]] = defaultdict(list)
     for each in those:
-        held[each.participant, each.action, each.domains].append(each.topic)
+        held[each.participant, each.action, each.where].append(each.topic)
     found = (
         each
         for each in these - those
         if each.topic in topics
-        or not is_known(each.topic, held[each.participant, each.action, each.domains])
+        or not is_known(each.topic, held[each.participant, each.action, each.where])
     )
     return tuple(sorted(found, key=str))
 

@@ -32,7 +32,8 @@ class PictureTopic:
 class PictureFlow:
     """Topics that the same participants may publish, and the same may subscribe to."""
 
-    domains: str
+    where: str
+    """Domains and partitions."""
     topics: tuple[PictureTopic, ...]
     publishers: tuple[Holder, ...]
     subscribers: tuple[Holder, ...]
@@ -88,10 +89,10 @@ def picture_of(rights: RightsSection) -> Picture:
     alike: dict[object, list[RightsRow]] = defaultdict(list)
     for row in rights.rows:
         if not is_routine(row):
-            alike[row.domains, _parts(row.publishers), _parts(row.subscribers)].append(row)
+            alike[row.where, _parts(row.publishers), _parts(row.subscribers)].append(row)
     flows = [
         PictureFlow(
-            domains=rows[0].domains,
+            where=rows[0].where,
             topics=tuple(_folded(rows)),
             publishers=rows[0].publishers,
             subscribers=rows[0].subscribers,

@@ -47,7 +47,7 @@ def rights_of(fleet: Fleet, root: Path, now: datetime) -> RightsSection:
         rows=tuple(sorted(rows, key=lambda each: (each.label, each.domains))),
         every=tuple(_every(answer)),
         topics=tuple(dict.fromkeys(each.row.topic for each in answer.rows)),
-        refused=fleet.refused,
+        refused={**fleet.refused, **answer.unanswered},
         until=answer.until,
     )
 
@@ -61,7 +61,7 @@ def _every(answer: WhoMay) -> Iterator[Right]:
             (Action.SUBSCRIBE, each.row.subscribers),
         ):
             for name in names:
-                yield Right(name, action.value, each.row.topic, domains)
+                yield Right(name, action.value, each.row.topic, domains, each.row.where)
 
 
 def _key(placed: Placed, grouping: Grouping) -> _Key:
@@ -70,7 +70,8 @@ def _key(placed: Placed, grouping: Grouping) -> _Key:
     label, unit = grouping.split(row.topic)
     publishers = tuple(_parts(row.publishers, unit, grouping))
     subscribers = tuple(_parts(row.subscribers, unit, grouping))
-    return label, bool(unit), placed.domains, row.is_pattern, publishers, subscribers
+    where = placed.domains, row.where
+    return label, bool(unit), *where, row.is_pattern, publishers, subscribers
 
 
 def _parts(names: tuple[str, ...], unit: str, grouping: Grouping) -> Iterator[_Part]:
@@ -117,6 +118,7 @@ def _row(alike: list[Placed], grouping: Grouping, explain: "_Explaining") -> Rig
         topics=tuple(each.row.topic for each in alike),
         is_pattern=first.row.is_pattern,
         domains=str(first.domains),
+        partitions=first.row.where,
         publishers=tuple(holders(first.row.publishers, Action.PUBLISH)),
         subscribers=tuple(holders(first.row.subscribers, Action.SUBSCRIBE)),
     )
@@ -138,6 +140,7 @@ class _Explaining:
             action=action,
             topic=row.asked or row.topic,
             domain=_first(placed.domains),
+            partitions=row.asked_in,
             now=self.now,
             interpretation=SPEC,
         )

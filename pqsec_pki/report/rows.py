@@ -72,7 +72,7 @@ def _rights(report: Report) -> Iterator[_Row]:
     if report.rights is None:
         return
     places = {
-        (row.domains, topic, action, holder.group.members[0]): holder.place
+        (row.where, topic, action, holder.group.members[0]): holder.place
         for row in report.rights.rows
         for action, holders in (("publish", row.publishers), ("subscribe", row.subscribers))
         for holder in holders
@@ -81,14 +81,14 @@ def _rights(report: Report) -> Iterator[_Row]:
     groups = {name: each.members[0] for each in report.rights.groups for name in each.members}
     for right in report.rights.every:
         first = groups[right.participant]
-        place = places.get((right.domains, right.topic, right.action, first), "")
+        place = places.get((right.where, right.topic, right.action, first), "")
         beside = f"enclaves{first}/{PERMISSIONS}:"
         if first != right.participant and place.startswith(beside):
             place = f"enclaves{right.participant}/{PERMISSIONS}, as {place}"
         until = report.rights.until.get(right.participant)
         yield (
             *("right", right.participant, right.action, right.topic),
-            *(right.domains, _said(until) if until else "", place),
+            *(right.where, _said(until) if until else "", place),
         )
     for name, reason in report.rights.refused.items():
         yield "left out", name, "has no rights", reason, "", "", ""

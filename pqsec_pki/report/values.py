@@ -66,6 +66,13 @@ class RightsRow:
     domains: str
     publishers: tuple[Holder, ...]
     subscribers: tuple[Holder, ...]
+    partitions: str = ""
+    """In words; empty for the default partition."""
+
+    @property
+    def where(self) -> str:
+        """The domains and partitions."""
+        return _where(self.domains, self.partitions)
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +84,16 @@ class Right:
     """publish or subscribe."""
     topic: str
     domains: str
+    partitions: str = ""
+    """In words; empty for the default partition."""
+
+    @property
+    def where(self) -> str:
+        """The domains and partitions."""
+        return _where(self.domains, self.partitions)
 
     def __str__(self) -> str:
-        return f"{self.participant} may {self.action} {self.topic} on {self.domains}"
+        return f"{self.participant} may {self.action} {self.topic} on {self.where}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,6 +306,10 @@ def _robot(each: RobotState) -> dict[str, object]:
     return {"name": each.name, "state": value.pop("robot"), **value}
 
 
+def _where(domains: str, partitions: str) -> str:
+    return f"{domains}, partition {partitions}" if partitions else domains
+
+
 def _rights(rights: RightsSection) -> dict[str, object]:
     def holder(each: Holder) -> dict[str, object]:
         return {
@@ -310,13 +328,16 @@ def _rights(rights: RightsSection) -> dict[str, object]:
                 "label": each.label,
                 "topics": len(each.topics),
                 "domains": each.domains,
+                "partitions": each.partitions,
                 "publishers": list(map(holder, each.publishers)),
                 "subscribers": list(map(holder, each.subscribers)),
             }
             for each in rights.rows
         ],
         "topics": rights.topics,
-        "every": [[e.participant, e.action, e.topic, e.domains] for e in rights.every],
+        "every": [
+            [e.participant, e.action, e.topic, e.domains, e.partitions] for e in rights.every
+        ],
         "left_out": rights.refused,
         "until": rights.until,
     }

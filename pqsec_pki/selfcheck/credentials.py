@@ -9,7 +9,7 @@ from dataclasses import field
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.access import may_join
+from pqsec_pki.access import INTERPRETATIONS, Action, InterpretedPolicy, Question, may_join
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import (
@@ -22,6 +22,7 @@ from pqsec_pki.credentials import (
 from pqsec_pki.documents import DomainRule, Governance, Permissions
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.problems import Code, Problem
+from pqsec_pki.selfcheck.stacks import SimulatedStack
 
 _OLD_LIST = "`pqsec ca crl` issues a new revocation list; copy it to every robot"
 _RENEW = "reissue it: `pqsec renew {name}` keeps its permissions"
@@ -69,16 +70,20 @@ def check_identity(participant: Credentials, profile: Profile, now: datetime) ->
     return f"{participant.certificate.subject_name} signed by {signer}"
 
 
-def check_documents(participant: Credentials, domain: int, now: datetime) -> str:
+def check_documents(
+    participant: Credentials, domain: int, now: datetime, stack: SimulatedStack
+) -> str:
     """Verify its governance and permissions, and describe them; VerificationError."""
     _refuse(participant.name, *participant.anchors.problems(now))
     governance = participant.anchors.governance(participant.governance, now)
     itself = Applicant(participant.name, participant.certificate, participant.permissions)
-    own = check_permissions(participant, itself, domain, now)
+    own = check_permissions(participant, itself, domain, now, stack)
     return f"governance signed by {_signers(governance)}; {own}"
 
 
-def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now: datetime) -> str:
+def check_permissions(
+    judge: Credentials, applicant: Applicant, domain: int, now: datetime, stack: SimulatedStack
+) -> str:
     """The rule by which `judge` lets `applicant` join `domain`, in words. VerificationError if not.
 
     The signature, the subject, the validity and the domain of the applicant's
@@ -88,6 +93,7 @@ def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now
     governance = judge.anchors.governance(judge.governance, now)
     signed = judge.anchors.permissions(applicant.permissions, now)
     subject = applicant.certificate.subject_name
+    _refuse_crash(stack, governance.value, signed.value, applicant, now)
     decision = may_join(governance.value, signed.value, subject, domain, now)
     if not decision.allowed:
         code = _code(applicant.certificate, signed.value, governance.value.rule_for(domain), now)
@@ -99,6 +105,25 @@ def check_permissions(judge: Credentials, applicant: Applicant, domain: int, now
             else f"`pqsec explain --participant {applicant.name} --join` shows where it may",
         )
     return f"permissions signed by {_signers(signed)}; {decision.reason}"
+
+
+def _refuse_crash(
+    stack: SimulatedStack,
+    governance: Governance,
+    permissions: Permissions,
+    applicant: Applicant,
+    now: datetime,
+) -> None:
+    """VerificationError if the documents end the process of the judge's stack, in any version."""
+    subject = applicant.certificate.subject_name
+    join = Question(subject=subject, domain=0, action=Action.JOIN, now=now)
+    for row in INTERPRETATIONS:
+        if row.stack == stack.stack_name:
+            decision = InterpretedPolicy(governance, permissions, row).unanswered(join)
+            if decision:
+                name, reading = applicant.name, row.name
+                hint = f"`pqsec explain --participant {name} --join --as {reading}` shows the line"
+                raise VerificationError(decision.reason, hint=hint)
 
 
 def _code(

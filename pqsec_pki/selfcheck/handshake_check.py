@@ -130,7 +130,7 @@ def check_party(setup: HandshakeSetup, loaded: LoadedParty, steps: Steps) -> Non
         stack.check_identity(participant.certificate, participant.identity_ca)
     with steps.step(f"documents of {participant.name}") as detail:
         try:
-            detail.append(check_documents(participant, domain, now))
+            detail.append(check_documents(participant, domain, now, stack))
         except VerificationError as error:
             if Code.NO_DOMAIN_RULE in error.codes:
                 error.hint = _to_add_domain(setup.keystore)

@@ -182,7 +182,8 @@ class HandshakeRun:
             applicant = Applicant(subject.name, peer.certificate, peer.permissions)
             own = judge.participant
             with check(Code.C25):
-                detail.append(check_permissions(own, applicant, session.domain, session.now))
+                domain, now = session.domain, session.now
+                detail.append(check_permissions(own, applicant, domain, now, judge.stack))
 
 
 def _opened(name: str, sample: bytes, reader: SessionSide) -> DataHolder:

@@ -50,6 +50,11 @@ class SimulatedStack:
     """Whether this row describes the versions with the limit."""
 
     @property
+    def stack_name(self) -> str:
+        """The stack's name without versions, such as fastdds for fastdds-3.1."""
+        return self.name.partition("-")[0]
+
+    @property
     def is_stock(self) -> bool:
         """Whether it is not pqsec, and supports no post-quantum algorithms."""
         return bool(self.agreements)

@@ -4,6 +4,7 @@ Different readers could find different documents, each validly signed. So pqsec 
 file only if its own reader and the model of OpenSSL's reader find the same.
 """
 
+import re
 from collections.abc import Callable
 from typing import TypeVar
 
@@ -12,6 +13,12 @@ from pqsec_pki.errors import MalformedError
 from pqsec_pki.smime import _mime, _openssl_reader
 
 Found = TypeVar("Found")
+_DECLARED = re.compile(rb"<\?xml[^>]{1,200}?encoding\s*=\s*[\"']([A-Za-z][\w.-]{0,40})[\"']")
+_UTF8 = re.compile(rb"(?i)utf-?8|(?:us-)?ascii")
+_WITH_ASCII = re.compile(
+    rb"(?i)iso-8859-[0-9]{1,2}|windows-125[0-9]|koi8-[ru]|euc-(?:jp|kr)|gb(?:2312|k|18030)|big5"
+)
+"""Codes in which octets of ASCII are the letters of ASCII."""
 
 
 class AmbiguousError(MalformedError):
@@ -42,6 +49,8 @@ class ParsedMessage:
         _, text = self._message.header_and_text
         if not self.is_plain and _of_openssl(_openssl_reader.text, self.content) != text:
             raise AmbiguousError("OpenSSL ends the header of the signed part elsewhere")
+        if code := _other_code(text):
+            raise AmbiguousError(f"it is in {code}, and stacks read its octets as UTF-8")
         return text
 
     @property
@@ -66,6 +75,18 @@ def read(message: bytes) -> ParsedMessage:
     if other.content != own.content or other.signature.rstrip() != own.signature.rstrip():
         raise AmbiguousError(_difference(own, other))
     return ParsedMessage(own.content, own.cms, own)
+
+
+def _other_code(xml: bytes) -> str | None:
+    """The code that an XML declaration names, if the octets are other letters in it than in UTF-8.
+
+    DDS stacks do not look at the declaration: what is signed would say something else to them.
+    """
+    found = _DECLARED.match(xml)
+    if found is None or _UTF8.fullmatch(found[1]):
+        return None
+    same = xml.isascii() and _WITH_ASCII.fullmatch(found[1])
+    return None if same else found[1].decode()
 
 
 def _of_openssl(reader: Callable[[bytes], Found], data: bytes) -> Found:

@@ -24,7 +24,12 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Digest, PrivateKey, PublicKey, digest_of
-from pqsec_pki.certificates import SEQUENCE_NUMBER, Certificate, read_sequence_number
+from pqsec_pki.certificates import (
+    SEQUENCE_NUMBER,
+    Certificate,
+    read_sequence_number,
+    same_name,
+)
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, problems_of
 from pqsec_pki.problems import Code, Problem
 
@@ -86,11 +91,13 @@ def make(
 
 
 def names(info: SignerInfo, certificate: Certificate) -> bool:
-    """Whether `info` names `certificate` as its signer. This is not authenticated."""
+    """Whether `info` names `certificate` as its signer. This is not authenticated.
+
+    MalformedError if OpenSSL cannot read the name of the issuer.
+    """
     if isinstance(info.sid, IssuerAndSerialNumber):
-        return (
-            info.sid.serial_number == certificate.serial_number
-            and encode(info.sid.issuer) == certificate.issuer_der
+        return info.sid.serial_number == certificate.serial_number and same_name(
+            encode(info.sid.issuer), certificate.issuer_der
         )
     return info.sid == certificate.subject_key_identifier
 

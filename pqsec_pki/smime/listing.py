@@ -8,12 +8,10 @@ from collections.abc import Iterator
 from datetime import datetime
 from functools import lru_cache
 
-from cryptography import x509
-
 from pqsec_pki._asn1 import IssuerAndSerialNumber, SignerInfo, encode
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import digest_of
-from pqsec_pki.certificates import name_text
+from pqsec_pki.certificates import name_text, read_name
 from pqsec_pki.errors import MalformedError, UnknownAlgorithmError
 from pqsec_pki.smime import _signer_info
 from pqsec_pki.smime.signed_file import SignedFile
@@ -28,6 +26,8 @@ class ListedSigner:
 
     issuer: str | None
     """The issuer of the signer's certificate, RFC 4514; None if there is a key identifier."""
+    issuer_der: bytes | None
+    """The same name in DER."""
     serial_number: int | None
     key_identifier: bytes | None
     """The signer's subjectKeyIdentifier, if the signer is named by it."""
@@ -76,9 +76,10 @@ class _Lister:
             yield self._signer(info)
 
     def _signer(self, info: SignerInfo) -> ListedSigner:
-        issuer, serial_number, key_identifier = _sid(info)
+        issuer_der, serial_number, key_identifier = _sid(info)
         return ListedSigner(
-            issuer=issuer,
+            issuer=None if issuer_der is None else _name(issuer_der),
+            issuer_der=issuer_der,
             serial_number=serial_number,
             key_identifier=key_identifier,
             identifier=encode(info.signature_algorithm),
@@ -90,9 +91,9 @@ class _Lister:
         )
 
 
-def _sid(info: SignerInfo) -> tuple[str | None, int | None, bytes | None]:
+def _sid(info: SignerInfo) -> tuple[bytes | None, int | None, bytes | None]:
     if isinstance(info.sid, IssuerAndSerialNumber):
-        return _name(encode(info.sid.issuer)), info.sid.serial_number, None
+        return encode(info.sid.issuer), info.sid.serial_number, None
     return None, None, info.sid
 
 
@@ -107,6 +108,6 @@ def _digest(oid: str) -> str:
 def _name(der: bytes) -> str:
     """The name as text; a fleet's documents are all of one signer."""
     try:
-        return name_text(x509.Name.from_bytes(der))
-    except ValueError as error:
-        raise MalformedError("the signer's name cannot be read") from error
+        return name_text(read_name(der))
+    except MalformedError as error:
+        raise MalformedError(f"the signer's name cannot be read: {error}") from error

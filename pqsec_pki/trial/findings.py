@@ -69,7 +69,9 @@ def _main_messages(
     else:
         yield from ((shown(each, _LONGEST), None, None) for each in lines[:_MOST])
     if outcome.signal:
-        yield f"the stack crashed ({outcome.signal})", None, None
+        command = f"pqsec explain --participant {outcome.role.name} --join{interpretation}"
+        remedy = f"`{command}` says whether the documents crash it."
+        yield f"the stack crashed ({outcome.signal})", None, remedy
 
 
 def _no_message(names: Sequence[str], interpretation: str) -> tuple[str, None, str]:

@@ -100,7 +100,7 @@ def severity(finding: Finding, options: Options) -> Severity | None:
         return own_plugin.severity(finding, options)
     meant = options.release
     if finding.rule.id != OVER_LIMIT:
-        return finding.rule.severity
+        return finding.severity
     if meant[:3] in FAST_DDS_LIMIT.versions:
         return Severity.ERROR
     may_be = any(each[: len(meant)] == meant for each in FAST_DDS_LIMIT.versions)

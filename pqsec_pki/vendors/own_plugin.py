@@ -59,13 +59,12 @@ def folder_in(variables: Mapping[str, str]) -> Path | None:
 
 def severity(finding: Finding, options: Options) -> Severity | None:
     """The severity. Findings for the stacks' own plugins do not matter if ours runs."""
-    return None if options.plugin and is_of_others(finding) else finding.rule.severity
+    return None if options.plugin and is_of_others(finding) else finding.severity
 
 
 def is_of_others(finding: Finding) -> bool:
     """Whether it matters only to the stacks' own plugins."""
-    stacks = finding.rule.stacks
-    return bool(stacks) and stacks != {Stack.ROS2}
+    return bool(finding.stacks) and set(finding.stacks) != {Stack.ROS2}
 
 
 def refusal(enclave: StackEnclave, options: Options, now: datetime) -> VerificationError | None:

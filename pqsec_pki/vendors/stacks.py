@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
-from pqsec_pki.keystore import CurrentFiles, Keystore, refuse_further_sets
+from pqsec_pki.keystore import CurrentFiles, Keystore, public_files, refuse_further_sets
 from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
@@ -69,7 +69,7 @@ def _not_compared(keystore: Keystore, name: str) -> list[str]:
     with CurrentFiles.if_readable(keystore) as current:
         if current is None:
             return ["you may not read the ledger: the files may be older than what it has"]
-        current.refuse_others(name)
+        current.refuse_others(name, public_files(keystore.folder, name))
     return []
 
 

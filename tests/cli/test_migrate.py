@@ -56,7 +56,7 @@ def test_a_plan_that_gives_up_no_protection_does_not_say_so(keystore, pqsec):
 @pytest.mark.slow
 def test_a_rehearsal_that_fails_ends_with_1(keystore, pqsec):
     root = keystore("classical")
-    topics = "".join(f" --publish rt/some/very/long/topic/name/number{n:06d}" for n in range(3650))
+    topics = "".join(f" --publish rt/some/very/long/topic/name/number{n:06d}" for n in range(4500))
     pqsec(f"-k {root} issue /large{topics}").done()
     found = pqsec(f"-k {root} migrate plan --stack cyclonedds --rehearse")
     assert found.code == 1

@@ -28,6 +28,7 @@ from pqsec_pki.keystore import Keystore, load_certificate
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.smime import Signer, sign
 from tests.cli.conftest import command_of
+from tests.crashing import CRASHING, GOVERNANCE, PERMISSIONS
 
 NOW = datetime.now(UTC)
 ZERO = DomainSet.of(0)
@@ -622,6 +623,7 @@ def test_the_matrix_of_a_keystore(pqsec, keystore):
     assert row == {
         "topic": "rt/chatter",
         "domains": "0",
+        "partitions": [],
         "pattern": False,
         "asked": "rt/chatter",
         "publish": both,
@@ -859,6 +861,176 @@ def test_a_stack_may_be_asked_for_the_matrix(pqsec, put):
     for stack, names in {"spec": ["CN=/robot"], "cyclonedds": []}.items():
         found = pqsec(f"who-may p.xml g.xml --topic a --as {stack} --json").done().json
         assert found["topics"][0]["publish"] == names
+
+
+@pytest.fixture
+def wide(put):
+    """Patterns that cover é in C.UTF-8 alone: one that allows, one that denies."""
+    put("g", Governance.protected(ZERO))
+    denies = rule("door[!a]", allow=False)
+    put("p", permissions(denies, rule("arm?", "door*"), rule("door*", action="subscribe")))
+
+
+@pytest.mark.parametrize(
+    ("asked", "code", "words"),
+    [
+        ("armé", 1, ("YES   Fast DDS 2.9.1 in C.UTF-8 decides differently",)),
+        (
+            "armé --as fastdds",
+            1,
+            ("by Fast DDS 2.9.1 in C\n", "YES   Fast DDS 2.9.1 in C.UTF-8"),
+        ),
+        ("armé --as fastdds/C", 1, ("by Fast DDS 2.9.1 in C\n",)),
+        ("armé --as fastdds/C.UTF-8", 0, ("by Fast DDS 2.9.1 in C.UTF-8\n",)),
+        ("armé --as spec/C.UTF-8", 0, ("by DDS-Security 1.1 in C.UTF-8\n",)),
+        ("doorß", 0, ("YES   CN=/robot", "NO    DDS-Security 1.1 in C.UTF-8")),
+        (
+            "doorß --as fastdds",
+            1,
+            ("by Fast DDS 2.9.1 in C.UTF-8\n", "YES   Fast DDS 2.9.1 in C "),
+        ),
+        ("doorß --as fastdds/C.UTF-8", 1, ("by Fast DDS 2.9.1 in C.UTF-8\n",)),
+        ("doorß --as cyclonedds", 0, ("by Cyclone DDS 0.10.2\n",)),
+        ("armx --as fastdds", 0, ("by Fast DDS 2.9.1\n",)),
+    ],
+)
+def test_explain_says_the_locale_where_the_answer_depends_on_it(pqsec, wide, asked, code, words):
+    said = pqsec(f"{FILES} --publish {asked}")
+    assert said.code == code
+    assert all(each in said.out for each in words), said.out
+    assert ("C.UTF-8" in said.out) is any("C.UTF-8" in each for each in words)
+    found = pqsec(f"{FILES} --publish {asked} --json").json
+    assert found["allowed"] is (code == 0)
+    if "/" in asked:
+        assert (found["as"], found["others"]) == (asked.split()[-1], [])
+
+
+def test_who_may_says_the_locale_where_the_answer_depends_on_it(pqsec, wide):
+    words = (
+        "Fast DDS 2.9.1 in C.UTF-8 decides differently about armé: ask with --as fastdds/C.UTF-8"
+    )
+    said = pqsec("who-may g.xml p.xml --topic armé --as fastdds").done()
+    assert words in said.err
+    assert "nobody may use it" not in said.err
+    assert said.out.splitlines()[1].split() == ["armé", "0", "-", "-"]
+    found = pqsec("who-may g.xml p.xml --topic armé --as fastdds --json").done().json
+    [other] = found["others"]
+    assert (other["as"], other["differs"]) == ("fastdds/C.UTF-8", ["armé"])
+    assert other["topics"][0]["publish"] == ["CN=/robot"]
+    said = pqsec("who-may g.xml p.xml --topic armé --as fastdds/C.UTF-8").done()
+    assert said.out.splitlines()[1].split() == ["armé", "0", "CN=/robot", "-"]
+    assert "in C.UTF-8" in pqsec("who-may g.xml p.xml --topic armé").done().err
+    for ask in ("--as fastdds", "--topic armx --as fastdds", "--topic armé --as cyclonedds"):
+        assert "C.UTF-8" not in pqsec(f"who-may g.xml p.xml {ask}").done().err
+
+
+def test_a_stack_whose_matching_follows_no_locale_has_none(pqsec, wide):
+    for name in ("cyclonedds/C", "opendds/C.UTF-8", "fastdds/en_US.UTF-8", "fastdds/"):
+        pqsec(f"who-may g.xml p.xml --as {name}").refused(2, "is not one of 'spec'")
+
+
+def test_a_pattern_that_depends_on_the_locale_is_said_when_it_is_signed(
+    pqsec, keystore, put, tmp_path
+):
+    keystore()
+    words = "what {} matches in Fast DDS depends on the locale of the process (PQS244)"
+    (tmp_path / "p.yaml").write_text(
+        "grants: [{name: /talker, domains: 0, rules: [{allow: {publish: ['rt/a?', rt/b]}}]}]"
+    )
+    said = pqsec("-k k sign-permissions p.yaml -o p.p7s").done()
+    assert said.err.count("PQS244") == 1
+    assert words.format("rt/a?") in said.err
+    said = pqsec("-k k issue /new --publish 'rt/[!a]' --subscribe 'rt/x*'").done()
+    assert words.format("rt/[!a]") in said.err
+    assert words.format("rt/d?") in pqsec("-k k permit /talker --publish 'rt/d?' --yes").done().err
+    governance = Governance.protected(ZERO)
+    [domain_rule] = governance.domain_rules
+    [topic_rule] = domain_rule.topic_rules
+    first = replace(topic_rule, topic_expression="rt/[é]")
+    put(
+        "g",
+        replace(governance, domain_rules=(replace(domain_rule, topic_rules=(first, topic_rule)),)),
+    )
+    assert words.format("rt/[é]") in pqsec("-k k sign-governance g.xml -o g.p7s").done().err
+
+
+@pytest.fixture
+def partitioned(put):
+    """A robot that may publish the map in partition A alone, and a station that hears it in all."""
+    put("g", Governance.protected(ZERO))
+    put("robot", permissions(rule("map", partitions=("A",)), rule("pose"), subject="CN=/robot"))
+    hears = rule("map", partitions=("*",), action="subscribe")
+    put("station", permissions(hears, subject="CN=/station"))
+    put("alone", permissions(rule("door", partitions=("D",)), subject="CN=/alone"))
+
+
+def test_a_right_that_is_only_in_partitions_was_shown_as_nobodys(pqsec, partitioned):
+    said = pqsec("who-may g.xml alone.xml").done().out.splitlines()
+    assert [line.split("  ") for line in map(str.strip, said)][1][0] == "door"
+    assert said[0].split() == ["topic", "domain", "partition", "may", "publish", "may", "subscribe"]
+    assert said[1].split() == ["door", "0", "D", "CN=/alone", "-"]
+    assert len(said) == 2
+    [row] = pqsec("who-may g.xml alone.xml --json").done().json["topics"]
+    d = {"name": "D", "extent": "one", "such_as": None, "but": []}
+    assert (row["publish"], row["partitions"]) == (["CN=/alone"], [d])
+
+
+def test_every_form_of_who_may_has_the_partitions(pqsec, partitioned):
+    ask = "who-may g.xml robot.xml station.xml"
+    table = [line.split() for line in pqsec(ask).done().out.splitlines()]
+    assert table[1:] == [
+        ["map", "0", "(default)", "-", "CN=/station"],
+        ["map", "0", "A", "CN=/robot", "CN=/station"],
+        ["pose", "0", "(default)", "CN=/robot", "-"],
+    ]
+    assert pqsec(f"{ask} --format csv").done().out.splitlines() == [
+        "topic,domains,pattern,asked,publish,subscribe,partitions",
+        "map,0,false,map,,CN=/station,",
+        "map,0,false,map,CN=/robot,CN=/station,A",
+        "pose,0,false,pose,CN=/robot,,",
+    ]
+    assert "| map | 0 | A | CN=/robot | CN=/station |" in pqsec(f"{ask} --format md").done().out
+    _, edges = graph(pqsec(f"{ask} --format dot").done().out)
+    assert ("CN=/robot", "map (domain 0, partition A)") in edges
+    flow = pqsec(f"{ask} --matrix").done().out.splitlines()
+    assert flow[1].split() == ["CN=/robot", "CN=/station", "0", "A", "map"]
+    [sent] = pqsec(f"{ask} --matrix --json").done().json["flows"]
+    assert [each["name"] for each in sent["partitions"]] == ["A"]
+    rows = pqsec(f"{ask} --matrix --format csv").done().out.splitlines()
+    assert rows[1] == "CN=/robot,CN=/station,0,map,map,A"
+    only = pqsec(f"{ask} --participant CN=/robot --json").done().json["topics"]
+    assert [len(each["partitions"]) for each in only] == [1, 0]
+
+
+@pytest.mark.parametrize(
+    ("options", "publishers", "where"),
+    [
+        ("--partition A", ["CN=/robot"], "A"),
+        ("--partition B", [], "B"),
+        ("--partition A --partition B", [], "A and B"),
+        ("--partition ''", [], "(default)"),
+        ("--partition 'A*'", [], "A*"),
+        ("--partition A --domain 0 --topic map", ["CN=/robot"], "A"),
+    ],
+)
+def test_who_may_is_asked_about_an_endpoint_in_partitions(
+    pqsec, partitioned, options, publishers, where
+):
+    ask = f"who-may g.xml robot.xml station.xml {options}"
+    found = pqsec(f"{ask} --json").done().json
+    first = found["topics"][0]
+    assert (first["topic"], first["publish"]) == ("map", publishers)
+    assert found["partitions"] == [each["name"] for each in first["partitions"]]
+    assert where in pqsec(ask).done().out.splitlines()[1]
+    for option in options.split()[1:2]:
+        explained = pqsec(
+            f"explain --governance g.xml --permissions robot.xml --publish map --partition {option}"
+        )
+        assert explained.code == (option != "A")
+
+
+def test_a_partition_longer_than_any_of_dds_is_refused(pqsec, partitioned):
+    pqsec(f"who-may g.xml robot.xml --partition {'x' * 300}").refused(2, "256 characters")
 
 
 def graph(text):
@@ -1216,11 +1388,14 @@ def test_the_matrix_shows_who_can_send_what_to_whom(pqsec, fleet_of_nodes):
     assert [line.split() for line in lines[1:]] == [["/bot/cook", "/desk", "0", "/odom"]]
     pqsec(f"{fleet_of_nodes} --matrix --format dot").refused(2, "--matrix")
     rows = pqsec(f"{fleet_of_nodes} --matrix --topic rt/odom --format csv").done().out.splitlines()
-    assert rows == ["from,to,domains,topics,ros", "/bot/cook,/desk,0,rt/odom,/odom"]
+    assert rows == [
+        "from,to,domains,topics,ros,partitions",
+        "/bot/cook,/desk,0,rt/odom,/odom,",
+    ]
     rows = pqsec(f"{fleet_of_nodes} --topic rt/odom --format csv").done().out.splitlines()
     assert rows == [
-        "topic,domains,pattern,asked,publish,subscribe",
-        "rt/odom,0,false,rt/odom,/bot/cook,/desk",
+        "topic,domains,pattern,asked,publish,subscribe,partitions",
+        "rt/odom,0,false,rt/odom,/bot/cook,/desk,",
     ]
     pqsec(f"{fleet_of_nodes} --json --format csv").refused(2, "exclude each other")
 
@@ -1249,3 +1424,113 @@ def test_a_topic_that_is_too_long_for_rtps_is_named(pqsec):
     asked = pqsec(f"-k k explain /a --publish {long}")
     asked.refused(2, "longer than 256 characters", hint="RTPS allows no longer topic")
     assert "a name is longer" not in pqsec("-k k report -o report.html").done().err
+
+
+# What is neither yes nor no
+
+
+@pytest.fixture
+def crashing(tmp_path):
+    """put(case) writes g.xml and p.xml, one of which crashes stacks, and returns its case."""
+
+    def put(case):
+        found = CRASHING[case]
+        documents = {Governance: GOVERNANCE, Permissions: PERMISSIONS} | {found.kind: found.xml}
+        (tmp_path / "g.xml").write_bytes(documents[Governance])
+        (tmp_path / "p.xml").write_bytes(documents[Permissions])
+        return found
+
+    return put
+
+
+@pytest.mark.parametrize("case", ["a range without min", "an empty topic", "an empty expression"])
+def test_what_crashes_a_stack_is_neither_yes_nor_no(pqsec, keystore, crashing, case):
+    found = crashing(case)
+    keystore()
+    file, kind = ("g.xml", "governance") if found.kind is Governance else ("p.xml", "permissions")
+    pqsec(f"-k k sign-{kind} {file} -o new.p7s").refused(1, f"{file}: line {found.line}", "crashes")
+    for stack in ("cyclonedds", "cyclonedds@11.0"):
+        said = pqsec(f"{FILES} --publish rt/chatter --as {stack}")
+        assert said.code == 1
+        assert said.out.startswith("CRASHES  CN=/lab/alice")
+        assert re.search(rf"{file}:(\d+ \(its topics from line )?{found.line}\b", said.out)
+    json = pqsec(f"{FILES} --publish rt/chatter --as cyclonedds --json").json
+    assert (json["allowed"], json["answer"]) == (None, "crashes")
+    assert (json["own_stack"], json["peers"], json["until"]) == (None, None, None)
+    assert [each["answer"] for each in json["others"]] == ["crashes"]
+    who = pqsec("who-may g.xml p.xml --as cyclonedds --json").done()
+    assert file in who.json["unanswered"]["CN=/lab/alice"]
+    assert "no answer by Cyclone DDS 0.10.2 for CN=/lab/alice" in who.err
+    assert who.json["crashes"] == {}
+    by_standard = pqsec("who-may g.xml p.xml --json").done()
+    assert by_standard.json["unanswered"] == {}
+    [(whose, words)] = by_standard.json["crashes"].items()
+    assert whose == ("governance" if found.kind is Governance else "CN=/lab/alice")
+    assert words.startswith(f"line {found.line}: ")
+    assert "crashes Cyclone DDS 0.10.2" in words
+    assert f"note: {whose}: {words}" in by_standard.err
+
+
+def test_a_right_of_several_topics_is_not_known_if_one_is_not(pqsec, crashing):
+    crashing("an empty topic")
+    json = pqsec(f"{FILES} --ros-service /reset --as cyclonedds --json")
+    assert (json.code, json.json["allowed"], json.json["answer"]) == (1, None, "crashes")
+    said = pqsec(f"{FILES} --ros-service /reset --as cyclonedds").out
+    assert said.startswith("CRASHES")
+
+
+@pytest.mark.parametrize("spoiled", ["permissions", "governance"])
+def test_readers_differ_is_the_answer_about_a_keystore_with_markup_in_a_value(
+    pqsec, keystore, tmp_path, spoiled
+):
+    """As other tools sign it; pqsec neither signs nor installs it."""
+    keystore(profile="classical")
+    ca = load_private_key((tmp_path / "k/private/permissions_ca.key.pem").read_bytes())
+    certificate = load_certificate(tmp_path / "k/public/permissions_ca.cert.pem")
+    enclaves = tmp_path / "k/enclaves"
+    name, old = (
+        ("talker/permissions", b">rt/chatter<")
+        if spoiled == "permissions"
+        else ("governance", b">*<")
+    )
+    xml = (enclaves / f"{name}.xml").read_bytes()
+    marked = xml.replace(old, old[:-1] + b"<!-- x -->_x<", 1)
+    (enclaves / f"{name}.p7s").write_bytes(sign(marked, Signer(certificate, ca), now=NOW))
+    for stack in ("", " --as fastdds", " --as cyclonedds"):
+        said = pqsec(f"-k k explain /talker --publish rt/chatter{stack}")
+        assert (said.code, said.out.splitlines()[0][:23]) == (1, "READERS DIFFER  /talker")
+        assert re.search(rf"/{name}.p7s:\d+\n", said.out)
+    json = pqsec("-k k explain /talker --publish rt/chatter --json").json
+    assert (json["allowed"], json["answer"]) == (None, "readers differ")
+    text = (enclaves / f"{name}.p7s").read_bytes()
+    assert json["line"] == text[: text.index(b"<!-- x")].count(b"\n") + 1
+
+
+def test_readers_differ_is_said_of_files_with_their_line(pqsec, crashing, tmp_path):
+    crashing("a range without min")
+    marked = PERMISSIONS.replace(b">rt/p<", b">rt/p<!-- x --><")
+    (tmp_path / "p.xml").write_bytes(marked)
+    said = pqsec(f"{FILES} --publish rt/chatter")
+    assert (said.code, said.out[:14]) == (1, "READERS DIFFER")
+    assert "p.xml:7" in said.out
+    assert "\nsame  " not in said.out  # readers that differ are not the same
+    assert "p.xml:7" in pqsec("who-may g.xml p.xml --json").json["unanswered"]["CN=/lab/alice"]
+    (tmp_path / "old.xml").write_bytes(PERMISSIONS)
+    pqsec("diff old.xml p.xml").refused(1, "p.xml: line 7", "readers differ")
+    pqsec("diff p.xml old.xml").refused(1, "p.xml: line 7", "readers differ")
+
+
+def test_a_handshake_fails_where_the_permissions_crash_a_stack(pqsec, keystore, tmp_path):
+    keystore(profile="classical")
+    ca = load_private_key((tmp_path / "k/private/permissions_ca.key.pem").read_bytes())
+    certificate = load_certificate(tmp_path / "k/public/permissions_ca.cert.pem")
+    talker = tmp_path / "k/enclaves/talker"
+    xml = (talker / "permissions.xml").read_bytes()
+    crashing = xml.replace(b"<id>0</id>", b"<id_range><max>3</max></id_range>")
+    assert crashing != xml
+    (talker / "permissions.p7s").write_bytes(sign(crashing, Signer(certificate, ca), now=NOW))
+    pqsec("-k k verify-handshake /talker /listener --as fastdds --as fastdds").done()
+    for stacks in ("cyclonedds --as pqsec", "pqsec --as cyclonedds"):  # its own, and its peer's
+        failed = pqsec(f"-k k verify-handshake /talker /listener --as {stacks}")
+        assert failed.code == 1
+        assert "crashes Cyclone DDS" in failed.out

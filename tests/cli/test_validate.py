@@ -159,3 +159,69 @@ def test_a_problem_of_a_file_that_the_domain_file_names_has_its_place(pqsec, tmp
     said = pqsec("validate d.yaml")
     assert (said.code, said.out.partition(" ")[0]) == (1, "robots.csv:")
     pqsec("validate d.yaml --json")
+
+
+EXTENDED = "<id_range><min>0</min></id_range><tag>RTI_o11y</tag>"
+
+
+def extended(keystore, tmp_path):
+    text = (keystore() / "enclaves/governance.xml").read_text()
+    assert "<id>0</id>" in text
+    (tmp_path / "its own.xml").write_text(text.replace("<id>0</id>", EXTENDED))
+    return text[: text.index("<id>0</id>")].count("\n") + 1
+
+
+def test_a_document_is_judged_for_the_stacks_that_are_named(pqsec, keystore, tmp_path):
+    line = extended(keystore, tmp_path)
+    taken = ["validate", "its own.xml", "--target", "connext"]
+    assert pqsec(*taken).done().out == "its own.xml: valid governance document\n"
+    said = pqsec("validate", "its own.xml", "--target", "connext,fastdds", "--json")
+    assert said.code == 1
+    [result] = said.json["files"]
+    assert (result["valid"], result["kind"]) == (False, "governance")
+    assert {each["line"] for each in result["problems"]} == {line}
+    [tag] = [each["text"] for each in result["problems"] if "tag" in each["text"]]
+    assert "<tag> is not allowed in <domains> (PQS209 [Cyclone DDS; Fast DDS" in tag
+
+
+def test_a_document_that_one_stack_takes_is_said_to_be_taken_by_it(pqsec, keystore, tmp_path):
+    extended(keystore, tmp_path)
+    said = pqsec("validate", "its own.xml")
+    assert said.code == 1
+    assert "RTI Connext takes more than the schema allows" in said.err
+    assert "`pqsec validate --target connext 'its own.xml'`" in said.err
+    (tmp_path / "broken.xml").write_text((tmp_path / "its own.xml").read_text().replace("tag", "g"))
+    assert "note" not in pqsec("validate broken.xml").err
+
+
+def test_markup_that_a_stack_cannot_read_is_told_for_that_stack(pqsec, keystore, tmp_path):
+    text = (keystore() / "enclaves/governance.xml").read_text()
+    (tmp_path / "spaced.xml").write_text(text.replace("</domains>", "</domains >"))
+    pqsec("validate spaced.xml").done()
+    pqsec("validate spaced.xml --target fastdds").done()
+    said = pqsec("validate spaced.xml --target cyclonedds")
+    assert said.code == 1
+    assert "(PQS278 [Cyclone DDS 0.10.2, 11.0.1])" in said.out
+
+
+@pytest.mark.parametrize("wrong", ["<topic></topic>", "<id_range><max>9</max></id_range>"])
+def test_a_valid_document_that_crashes_a_stack_is_said_not_to_be_signed(
+    pqsec, keystore, tmp_path, wrong
+):
+    text = (keystore() / "enclaves/talker/permissions.xml").read_text()
+    tag = "id" if "id" in wrong else "topic"
+    text = re.sub(f"<{tag}>[^<]*</{tag}>", wrong, text, count=1)
+    (tmp_path / "d.xml").write_text(text)
+    said = pqsec("validate d.xml").done()
+    assert said.out == "d.xml: valid permissions document\n"
+    assert "note: d.xml: it cannot be signed: line " in said.err
+    assert "crash" in said.err
+    assert "note" not in pqsec(f"validate {PERMISSIONS}.xml").done().err
+
+
+def test_another_file_is_not_valid_for_any_stack(pqsec, tmp_path):
+    (tmp_path / "a.txt").write_text("a")
+    (tmp_path / "a.xml").write_text("<a/>")
+    for file in ("a.txt", "a.xml"):
+        assert pqsec(f"validate {file} --target fastdds,connext").code == 1
+    assert pqsec("validate --target nodds a.xml").code == 2

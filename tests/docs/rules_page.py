@@ -12,7 +12,9 @@ ROOT = Path(__file__).parents[2]
 if __name__ == "__main__":
     sys.path.insert(0, str(ROOT))
 
-from pqsec_pki.lint import RULES, Rule, Severity  # noqa: E402 -- after the path
+from pqsec_pki.lint import RULES, Rule, Severity, stacks_text  # noqa: E402 -- after the path
+from pqsec_pki.lint.documents._extensions import ROWS  # noqa: E402
+from pqsec_pki.lint.documents.markup import UNREADABLE  # noqa: E402
 from tests.docs.rows import row as _row  # noqa: E402
 from tests.docs.stack_differences import HABITS, Habit  # noqa: E402
 
@@ -35,9 +37,11 @@ HEAD = """# Rules
 What [`pqsec check`](commands.md#what-check-reports) looks for. `tests/docs/rules_page.py`
 generates this page from the rules; `pqsec check --explain ID` prints one of them.
 
-An **error** fails on some stack, or is a security hole. A **warning** is a risk. An **info** may be
-intended. With `--target`, a rule that names stacks runs only if one of them is a target. A rule
-that is *checked only with* a target reports what is correct for other stacks.
+An **error** fails on the stacks that it names, or is a security hole. A **warning** is a risk. An
+**info** may be intended. With `--target`, a finding that names stacks is reported only if one of
+them is a target; without it, all stacks are judged, and a finding says for which it holds. Some
+findings hold for fewer stacks than their rule. A rule that is *checked only with* a target reports
+what is correct for other stacks.
 
 Versions in "Known from" were run; sources that were only read are named as such.
 
@@ -49,6 +53,16 @@ ACCEPTED = """## What stacks accept
 Two processes of one stack met with security, and one thing in their files was different. A: they
 communicated. R: they did not. X: a process crashed. The last column has the rules that report it,
 or the reason why no rule does."""
+BEYOND = """## What stacks take beyond the schema
+
+Elements that DDS-Security 1.1 does not have: an error (PQS209, PQS210) for the other stacks, an
+info for the stack that takes them. RTI Connext was not run: the rows are from its documents, with
+the oldest version that was found there. UM is the RTI Security Plugins User's Manual, MG the RTI
+Connext Migration Guide, examples those of rticommunity/rticonnextdds-examples. Connext also skips
+each element with `must_interpret="false"` (MG 7.4.0)."""
+MARKUP = """## Markup that Cyclone DDS cannot read
+
+What PQS278 finds. `tests/interop/test_markup.py` compares each row with the stack."""
 READ = """## How stacks differ
 
 From the standard, or from each other: measured through their plugins (Cyclone DDS, Fast DDS), or
@@ -61,7 +75,7 @@ def page() -> str:
     for digit, rules in groupby(RULES.values(), lambda rule: rule.id[3]):
         title, what = FAMILIES[digit]
         parts += [f"## {title}", f"{digit}xx: {what}.", *map(rule_page, rules)]
-    parts += [ACCEPTED, _accepted(), READ, _read()]
+    parts += [ACCEPTED, _accepted(), BEYOND, _beyond(), MARKUP, _markup(), READ, _read()]
     return "\n\n".join(parts) + "\n"
 
 
@@ -77,10 +91,11 @@ def is_refused(row: dict[str, str]) -> bool:
 
 def rule_page(rule: Rule) -> str:
     """The section of one rule, in Markdown: severity, reason, example, and fix."""
-    stacks = ", ".join(sorted(rule.stacks)) or "all stacks"
+    stacks = stacks_text(rule.stacks) or "all stacks"
     asked = f", checked only with `--target {'` or `'.join(sorted(rule.stacks))}`"
     kind = f"**{Severity(rule.severity)}**, {stacks}{asked if rule.only_when_asked else ''}."
-    known = [f"Known from: {_plain(rule.measured)}."] if rule.measured else []
+    more = "" if rule.measured == stacks_text(rule.stacks) else rule.measured
+    known = [f"Known from: {_plain(more)}."] if more else []
     parts = [
         f"### {rule.id}: {_plain(rule.title)}",
         _wrapped(f"{kind} {_plain(rule.why)}"),
@@ -106,6 +121,25 @@ def _accepted() -> str:
             told = row.get("why") or (_ids(rules_of(row["variant"])) if is_refused(row) else "")
             lines.append(_row((row["variant"], *row["verdicts"], told)))
     return "\n".join(lines)
+
+
+def _beyond() -> str:
+    lines = [_row(("Stack", "Element", "In", "Source")), _row(["---"] * 4)]
+    for stack, elements in ROWS.items():
+        for each in elements:
+            parents = ", ".join(f"`<{parent}>`" for parent in each.parents)
+            name = stacks_text({stack: each.versions})
+            lines.append(_row((name, f"`<{each.tag}>`", parents, each.source)))
+    return "\n".join(lines)
+
+
+def _markup() -> str:
+    lines = [_row(("Markup", "Stacks", "Instead")), _row(["---"] * 3)]
+    rows = (
+        _row((_plain(each.words), stacks_text(each.stacks), _plain(each.fix)))
+        for each in UNREADABLE
+    )
+    return "\n".join([*lines, *rows])
 
 
 def _read() -> str:

@@ -29,6 +29,14 @@ IN_P = {"partitions": ("P",)}
 SPLIT = (Criteria(topics=("a",)), Criteria(topics=("b",), partitions=("P",)))
 OPEN = with_rule(topics=(topic_rule("x", enable_write_access_control=False), topic_rule()))
 
+
+def spelled(old, new):
+    """A document that allows all, with its text changed."""
+    xml = document(allow("a"), not_after=LATER).to_xml()
+    assert old in xml
+    return Permissions.from_xml(xml.replace(old, new))
+
+
 CASES = {
     "The grant is for": (document(allow("a"), subject="CN=/a/b"), {}),
     "Of several grants": (Permissions(grants=(grant(not_before=LATER), grant(allow("a")))), {}),
@@ -46,6 +54,9 @@ CASES = {
         document(allow("a", domains=DomainSet.of(1))),
         JOIN | {"domain": 1},
     ),
+    "A time in a zone": (spelled(b"2026-07-01T00:00:00Z", b"2026-06-01T20:00:00+14:00"), {}),
+    "White space around a topic or partition": (spelled(b"<topic>a", b"<topic> a"), {}),
+    "A line end around a subject_name": (spelled(b"CN=/a<", b"CN=/a\n<"), {}),
     "An unclosed bracket": (document(allow("a", "[P-")), {}),
     "The topic itself": (document(deny("a", publish=(), subscribe=SPLIT), allow("a")), {}),
     "Default of a grant": (document(allow("b"), default=DefaultAction.ALLOW), {}),

@@ -7,7 +7,8 @@ reader with OpenSSL.
 
 Prints the seed and what it found, keeps the first inputs of each kind of finding in
 --findings, and ends with 1 if there is one. OpenSSL is the `openssl` command's, and that of
-PQSEC_OPENSSL35 where it is set; --openssl COMMAND names others.
+PQSEC_OPENSSL35 where it is set; --openssl COMMAND names others. Policies and documents go to the
+access control of DDS stacks (policies.py).
 """
 
 import argparse
@@ -46,7 +47,7 @@ from pqsec_pki.smime import (
     document,
     sign,
 )
-from tests.fuzz import chains, hostile_files, libcrypto
+from tests.fuzz import chains, hostile_files, libcrypto, policies
 
 BATCH = 256
 YEAR = timedelta(days=365)
@@ -170,6 +171,15 @@ class Kind:
     read: object
     disagreement: object
 
+    def peers(self, paths):
+        return peers(paths)
+
+    def ask(self, peer, files):
+        return peer.ask(self.question, files)
+
+    def compared(self, ours, answers):
+        return len(answers)
+
     def disagreements(self, data, ours, peers, answers):
         """What each peer reads otherwise; they mostly answer the same."""
         known = {}
@@ -191,6 +201,7 @@ class Result:
 
     inputs: int = 0
     taken: int = 0
+    answers: int = 0
     findings: Counter = field(default_factory=Counter)
     examples: dict = field(default_factory=dict)
 
@@ -214,7 +225,7 @@ def kinds():
     return {
         "smime": Kind(b"S", smime.make, smime_reader(cas), disagreement_on_smime),
         "chains": Kind(b"V", chains.make, own_verdict, another_verdict),
-    } | pem_kinds(cas, now)
+    } | (pem_kinds(cas, now) | policies.kinds())
 
 
 def pem_kinds(cas, now):
@@ -271,6 +282,7 @@ STRICTER = (
     "has the name of the CA",
     "RFC 3779",
     "relative name",
+    "Cannot create empty extension",
     "cannot be compared",
 )
 """What pqsec alone refuses: docs/explanation/adr/0043."""
@@ -292,17 +304,23 @@ def another_verdict(data, ours, theirs, ask):
 def run(kind, peers, inputs, seed):
     """`inputs` files of one kind, each to all peers."""
     rng, result = random.Random(seed), Result()  # noqa: S311 -- reproducible, not secret
-    read = silent(kind.read)
     while result.inputs < inputs:
         files = [kind.make(rng) for _ in range(min(BATCH, inputs - result.inputs))]
-        result.inputs += len(files)
-        all_answers = zip(*(each.ask(kind.question, files) for each in peers), strict=True)
-        for data, answers in zip(files, all_answers, strict=True):
-            ours = read(data)
-            result.taken += bool(ours)
-            for words in kind.disagreements(data, ours, peers, answers):
-                result.add(words, data)
+        compare(kind, peers, files, result)
     return result
+
+
+def compare(kind, peers, files, result):
+    """Add what comes of these files."""
+    read = silent(kind.read)
+    result.inputs += len(files)
+    all_answers = zip(*(kind.ask(each, files) for each in peers), strict=True)
+    for data, answers in zip(files, all_answers, strict=True):
+        ours = read(data)
+        result.taken += bool(ours)
+        result.answers += kind.compared(ours, answers)
+        for words in kind.disagreements(data, ours, peers, answers):
+            result.add(words, data)
 
 
 def commands():
@@ -321,14 +339,19 @@ def main():
     parser.add_argument("--seed", type=int, default=random.SystemRandom().randrange(1 << 32))
     parser.add_argument("--openssl", action="append", help="an openssl command")
     parser.add_argument("--findings", type=Path, default=Path("findings"), help="folder")
+    parser.add_argument("--file", type=Path, action="append", help="a finding, to compare again")
     options = parser.parse_args()
     print("seed", options.seed)
     failed = False
     for name in options.kinds or known:
-        with peers(options.openssl or commands()) as found:
-            result = run(known[name], found, options.inputs, options.seed)
-        total = result.findings.total()
-        print(f"{name}: {result.inputs} files, {result.taken} read, {total} findings", flush=True)
+        result = Result()
+        with known[name].peers(options.openssl or commands()) as found:
+            if options.file:
+                compare(known[name], found, [each.read_bytes() for each in options.file], result)
+            else:
+                result = run(known[name], found, options.inputs, options.seed)
+        counts = f"{result.inputs} files, {result.taken} read, {result.answers} answers"
+        print(f"{name}: {counts}, {result.findings.total()} findings", flush=True)
         for words, count in result.findings.items():
             failed = True
             data = result.examples[words]

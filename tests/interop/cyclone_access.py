@@ -84,10 +84,10 @@ class AccessControl:
         self._qos = Qos(properties=Properties.of(properties.items()))
         certificate, permissions = "cert.pem", "permissions.p7s"
         shown = (("c.id", certificate), ("c.perm", permissions))
-        credential = tuple((name, (enclave / file).read_text()) for name, file in shown)
-        self._unfit = refusal(lambda: self._validate(domain, credential))
+        credential = tuple((name, (enclave / file).read_bytes()) for name, file in shown)
+        self.unfit = refusal(lambda: self._validate(domain, credential))
 
-    def _validate(self, domain: int, credential: tuple[tuple[str, str], ...]) -> None:
+    def _validate(self, domain: int, credential: tuple[tuple[str, bytes], ...]) -> None:
         """Take the signed documents as one's own, and as those of a peer."""
         call, peer = self._plugin.call, DataHolder.of(Token("DDS:Auth:PKI-DH:1.0", credential))
         token = DataHolder.of(Token("DDS:Access:Permissions:1.0"))
@@ -97,11 +97,11 @@ class AccessControl:
 
     def own(self, question: Question) -> str:
         """Why the participant's own stack refuses; empty if it does not."""
-        return self._unfit or refusal(lambda: self._ask_own(question))
+        return self.unfit or refusal(lambda: self._ask_own(question))
 
     def peer(self, question: Question) -> str:
         """Why a peer of the same domain refuses; empty if it does not."""
-        return self._unfit or refusal(lambda: self._ask_peer(question))
+        return self.unfit or refusal(lambda: self._ask_peer(question))
 
     def _ask_own(self, question: Question) -> None:
         check = partial(self._check, "check_create_", self._own, question.domain)

@@ -35,8 +35,11 @@ class Properties(Structure):
     _fields_ = (("maximum", Count), ("length", Count), ("buffer", POINTER(_Property)))
 
     @classmethod
-    def of(cls, pairs: Iterable[tuple[str, str]]) -> "Properties":
-        items = [_Property(name.encode(), value.encode(), 1) for name, value in pairs]
+    def of(cls, pairs: Iterable[tuple[str, str | bytes]]) -> "Properties":
+        octets = (
+            (name, each if isinstance(each, bytes) else each.encode()) for name, each in pairs
+        )
+        items = [_Property(name.encode(), value, 1) for name, value in octets]
         array = (_Property * len(items))(*items)
         return cls(len(items), len(items), ctypes.cast(array, POINTER(_Property)))
 
@@ -59,7 +62,7 @@ class Token(NamedTuple):
     """A DataHolder as a value: identity, permissions and handshake messages."""
 
     class_id: str
-    properties: tuple[tuple[str, str], ...] = ()
+    properties: tuple[tuple[str, str | bytes], ...] = ()
     binary: tuple[tuple[str, bytes], ...] = ()
 
 

@@ -31,15 +31,15 @@ class AccessControl:
 
     def __init__(self, one: Participant, domain: int) -> None:
         self._one = one
-        self._unfit = refusal(lambda: one.validate(domain, _MYSELF))
+        self.unfit = refusal(lambda: one.validate(domain, _MYSELF))
 
     def own(self, question: Question) -> str:
         """Why the participant's own stack refuses; empty if it does not."""
-        return self._unfit or refusal(lambda: self._ask(question, "create", KINDS))
+        return self.unfit or refusal(lambda: self._ask(question, "create", KINDS))
 
     def peer(self, question: Question) -> str:
         """Why a peer of the same domain refuses; empty if it does not."""
-        return self._unfit or refusal(lambda: self._ask(question, "remote", _REMOTE_KINDS))
+        return self.unfit or refusal(lambda: self._ask(question, "remote", _REMOTE_KINDS))
 
     def _ask(self, question: Question, side: str, kinds: dict[Action, str]) -> None:
         self._one.check(f"check_{side}_participant", question.domain)

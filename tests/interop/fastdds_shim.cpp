@@ -9,6 +9,7 @@
 #include <algorithm>
 #include <cstddef>
 #include <cstdint>
+#include <cstdlib>
 #include <exception>
 #include <map>
 #include <memory>
@@ -609,9 +610,12 @@ void fastdds_call(
         Participant* participant, Answer* answer, const char* function, std::size_t number,
         const octet* first, std::size_t first_size, const octet* second,
         std::size_t second_size) noexcept {
+    // Its log's thread has to run for each call, so who asks a million times does without.
+    static const bool deaf = std::getenv("PQSEC_FASTDDS_DEAF") != nullptr;
     Participant& self = *participant;
-    Heard& heard = Heard::instance();
-    heard.listen();
+    if (!deaf) {
+        Heard::instance().listen();
+    }
     std::string failure;
     self.forget();
     answer->code = VALIDATION_FAILED;
@@ -622,7 +626,9 @@ void fastdds_call(
     } catch (const std::exception& error) {
         failure = error.what();
     }
-    self.words = heard.take();
+    if (!deaf) {
+        self.words = Heard::instance().take();
+    }
     add(self.words, failure);
     answer->handle = self.handle;
     answer->words = self.words.data();

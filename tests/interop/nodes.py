@@ -18,6 +18,7 @@ from pqsec_pki.trial import TrialRole, TrialRun, TrialSetup, run_peers
 from pqsec_pki.trial.network import alone
 from pqsec_pki.trial.peer import PeerOutcome, running_peer
 from tests.interop.ros2 import Ros2
+from tests.interop.strangers import run_strangers
 
 TOPIC = "/chatter"
 PATIENCE = 40.0
@@ -133,6 +134,10 @@ class Nodes:
         """How it went, until the first process that is no stranger ended."""
         scene = TrialSetup(program=self._program, domain=0, topic=topic, timeout=seconds)
         return run_peers(scene, roles)
+
+    def run_strangers(self, *roles: TrialRole, said: str = "") -> TrialRun:
+        """How it went with some that should not meet, and when a log had `said`."""
+        return run_strangers(self.run_peers, roles, (REFUSAL, PATIENCE), said)
 
     def one(self, role: TrialRole, seconds: float = 0.2) -> PeerOutcome:
         """What becomes of one process, for itself."""

@@ -1,10 +1,11 @@
-"""OpenSSL, with which the stacks verify, gives the verdicts of tests/unit/chains.py."""
+"""OpenSSL, with which the stacks verify, judges chains and signers of tests/unit as expected."""
 
 import subprocess
 
 import pytest
 
 from pqsec_pki.algorithms import pem
+from tests.unit import signers
 from tests.unit.chains import CASES
 
 pytestmark = pytest.mark.interop
@@ -23,3 +24,17 @@ def test_openssl_judges_a_chain_as_expected(case, any_openssl, put):
     done = subprocess.run(words, capture_output=True, text=True, check=False)
     expected = case.accepted or (case.older and any_openssl.version < (3, 5))
     assert (done.returncode == 0) == expected, done.stderr
+
+
+READERS = [("smime", "-noverify"), ("cms", "-noverify"), ("smime", "-purpose", "any")]
+
+
+@pytest.mark.parametrize("any_openssl", ["system", "3.5"], indirect=True)
+@pytest.mark.parametrize("reader", READERS, ids=" ".join)
+@pytest.mark.parametrize("case", signers.CASES, ids=str)
+def test_openssl_finds_a_signer_as_expected(case, reader, any_openssl, put):
+    message, ca = put("message.p7s", case.message), put("ca.pem", pem("CERTIFICATE", case.ca))
+    pinned = ["-verify", "-text", "-nointern", "-certfile", ca, "-CAfile", ca, "-in", message]
+    words = [any_openssl.path, *reader, *pinned]
+    done = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert (done.returncode == 0) == case.accepted, done.stderr

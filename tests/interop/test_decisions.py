@@ -4,6 +4,7 @@ The stacks' own access control judges documents that we signed, as a participant
 stack and as its peers. A disagreement shows the question, both answers and the documents.
 """
 
+import locale
 import shutil
 from collections import Counter
 from dataclasses import replace
@@ -26,7 +27,14 @@ from pqsec_pki.access import (
     decide,
 )
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.documents import DomainRange, DomainSet, Governance, Grant, Permissions
+from pqsec_pki.documents import (
+    Criteria,
+    DomainRange,
+    DomainSet,
+    Governance,
+    Grant,
+    Permissions,
+)
 from pqsec_pki.documents.domains import MAX_DOMAIN_ID
 from tests.interop import cyclone_access, fastdds_access
 from tests.interop.cyclone import plugins_of
@@ -121,6 +129,68 @@ def folder(labs, tmp_path):
     return shutil.copytree(labs("classical").alice, tmp_path / "alice")
 
 
+WIDE_TOPICS = ("aé", "é", "日", "ab", "éx", "aéx", "aß", "b")
+WIDE_PATTERNS = (
+    *("a?", "?", "??", "a[!b]", "[!a]", "[é-ü]", "[[:alpha:]]", "[é]*", "a*", "aé", "???"),
+    *("a[^b]x", "[!a]x"),
+)
+
+
+@pytest.fixture(params=FASTDDS.locales, ids=lambda row: row.locale)
+def fast_dds_in(request, fastdds, labs, folder):
+    """The reading for a locale, and Fast DDS in this process, which is in that locale."""
+    before = locale.setlocale(locale.LC_ALL)
+    locale.setlocale(locale.LC_ALL, request.param.locale)
+    yield signing_witness(request.param, labs, folder, fastdds)
+    locale.setlocale(locale.LC_ALL, before)
+
+
+@pytest.mark.parametrize("where", ["a topic", "a denied topic", "a partition", "governance"])
+def test_fast_dds_matches_by_the_locale_of_its_process_as_its_reading(fast_dds_in, now, where):
+    """Its fnmatch follows setlocale: a Python process has C.UTF-8, a C++ process that never calls
+    it has C."""
+    tally, is_partition = Tally(fast_dds_in.interpretation), where == "a partition"
+    for pattern in WIDE_PATTERNS:
+        governance, grant = wide_documents(pattern, where, now)
+        permissions = Permissions(grants=(grant,))
+        with fast_dds_in(governance, permissions, 0) as stack:
+            for name in WIDE_TOPICS:
+                asked = Question(
+                    subject=SUBJECT,
+                    domain=0,
+                    action=Action.PUBLISH,
+                    now=now,
+                    topic="topic" if is_partition else name,
+                    partitions=(name,) if is_partition else (),
+                )
+                tally.compare(governance, permissions, asked, Viewpoint.OWN, stack.own(asked))
+                tally.compare(governance, permissions, asked, Viewpoint.PEER, stack.peer(asked))
+    assert min(tally.answers[True], tally.answers[False]) > len(WIDE_TOPICS), tally.answers
+
+
+def wide_documents(pattern, where, now):
+    """Governance, and a grant to publish, with the pattern in one place."""
+    governance = Governance.protected(DomainSet.of(0))
+    grant = anything_for(SUBJECT, now)
+    [rule] = grant.rules
+    here = {
+        "a topic": (Criteria(topics=(pattern,)),),
+        "a partition": (Criteria(topics=("topic",), partitions=(pattern,)),),
+    }.get(where, rule.publish)
+    rules = (replace(rule, publish=here),)
+    if where == "a denied topic":
+        denied = replace(rule, allow=False, publish=(Criteria(topics=(pattern,)),), subscribe=())
+        rules = (denied, *rules)
+    if where == "governance":
+        [domain_rule] = governance.domain_rules
+        [topic_rule] = domain_rule.topic_rules
+        opened = replace(topic_rule, topic_expression=pattern, enable_write_access_control=False)
+        here = (replace(domain_rule, topic_rules=(opened, topic_rule)),)
+        governance = replace(governance, domain_rules=here)
+        rules = (replace(rule, publish=(Criteria(topics=("nothing",)),)),)
+    return governance, replace(grant, rules=rules)
+
+
 WITNESSES = {
     CYCLONEDDS: ("plugins", cyclone_access),
     FASTDDS: ("fastdds", fastdds_access),
@@ -131,14 +201,18 @@ WITNESSES = {
 @pytest.fixture(params=WITNESSES, ids=lambda interpretation: interpretation.name)
 def witness(request, labs, folder):
     """The reading of a stack, and witness(governance, permissions, domain), the stack itself."""
-    interpretation, sign = request.param, labs("classical").sign
-    installed, stack = WITNESSES[interpretation]
-    library, start = request.getfixturevalue(installed), stack.access_control
+    installed, stack = WITNESSES[request.param]
+    library = request.getfixturevalue(installed)
+    return signing_witness(request.param, labs, folder, library, stack)
+
+
+def signing_witness(interpretation, labs, folder, library, stack=fastdds_access):
+    sign = labs("classical").sign
 
     def witness(governance, permissions, domain):
         (folder / "governance.p7s").write_bytes(sign(governance.to_xml()))
         (folder / "permissions.p7s").write_bytes(sign(permissions.to_xml()))
-        return start(library, folder, domain)
+        return stack.access_control(library, folder, domain)
 
     witness.interpretation = interpretation
     return witness

@@ -16,7 +16,7 @@ from pqsec_pki.vendors.enclave import SIX
 from pqsec_pki.vendors.messages import recognise
 from tests.interop.conftest import DOMAINS, LAB_PROFILES, YEAR
 from tests.interop.crew import Crew
-from tests.interop.nodes import REFUSAL, Does, ended
+from tests.interop.nodes import Does, ended
 
 pytestmark = pytest.mark.interop
 
@@ -92,7 +92,7 @@ def test_an_unsecured_node_gets_nothing_while_a_secured_one_does(nodes, role):
 @pytest.mark.slow
 def test_a_secured_node_takes_nothing_from_an_unsecured_one(nodes, role):
     plain = nodes.role(Does.SEND, "/plain", text=unique_text())
-    went = nodes.run_peers(plain, role(Does.RECEIVE, "/listener"), seconds=REFUSAL)
+    went = nodes.run_strangers(plain, role(Does.RECEIVE, "/listener"))
     assert all(each.joined for each in went.outcomes)
     assert went.outcomes[1].received is None
 
@@ -101,12 +101,11 @@ def test_a_secured_node_takes_nothing_from_an_unsecured_one(nodes, role):
 def test_a_node_of_another_keystore_with_the_same_names_gets_nothing(nodes, role, tmp_path, now):
     rogue = Crew.create(tmp_path, LAB_PROFILES["transition"], now)
     listener = nodes.role(Does.RECEIVE, "/listener", script=rogue.script("/listener"))
-    went = nodes.run_peers(
-        role(Does.SEND, "/talker", text=unique_text()), listener, seconds=REFUSAL
-    )
+    said = "unable to get local issuer certificate"
+    went = nodes.run_strangers(role(Does.SEND, "/talker", text=unique_text()), listener, said=said)
     assert all(each.joined for each in went.outcomes)
     assert went.outcomes[1].received is None
-    assert "unable to get local issuer certificate" in went.outcomes[1].log
+    assert said in went.outcomes[1].log
 
 
 def test_a_topic_that_is_not_granted_ends_the_node(lives):
@@ -202,7 +201,7 @@ def test_a_node_that_was_revoked_is_let_in_by_none_with_the_list(nodes, tmp_path
     (keystore.root / "enclaves" / "talker" / "crl.pem").unlink()
     talker = nodes.role(Does.SEND, "/talker", script=crew.script("/talker"), text=unique_text())
     listener = nodes.role(Does.RECEIVE, "/listener", script=crew.script("/listener"))
-    went = nodes.run_peers(talker, listener, seconds=REFUSAL)
+    went = nodes.run_strangers(talker, listener, said="certificate revoked")
     assert went.outcomes[1].received is None
     assert "certificate revoked" in went.outcomes[1].log
 

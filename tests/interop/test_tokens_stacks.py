@@ -5,9 +5,18 @@ from pathlib import Path
 
 import pytest
 
-from pqsec_pki.trial import Act, Installation, TrialRole, TrialSetup, built, run_peers, unique_text
+from pqsec_pki.trial import (
+    Act,
+    Installation,
+    TrialRole,
+    TrialSetup,
+    built,
+    run_peers,
+    running,
+    unique_text,
+)
 from tests.interop.conftest import TOPIC
-from tests.interop.plugin.processes import PATIENCE, REFUSAL, logs, met
+from tests.interop.plugin.processes import PATIENCE, logs, met
 from tests.interop.tokens import PIN
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
@@ -55,24 +64,28 @@ def test_stock_fast_dds_signs_handshakes_with_keys_in_a_token(fastdds, pair):
     assert met(went), logs(went)
 
 
-def test_stock_fast_dds_refuses_without_its_engine(fastdds, pair):
+def test_stock_fast_dds_refuses_without_its_engine(fastdds, pair, monkeypatch):
+    monkeypatch.setattr(running, "_SETTLE", PATIENCE)  # it ends before, when both have ended
     variables = {"FASTDDS_PKCS11_PIN": PIN, "OPENSSL_ENGINES": str(pair.folder)}
-    went = run_both(fastdds, pair, seconds=REFUSAL, **variables)
+    went = run_both(fastdds, pair, seconds=PATIENCE, **variables)
     assert all(each.refused for each in went.outcomes)
     assert "Error retrieving 'pkcs11' engine" in logs(went)
 
 
 @pytest.mark.slow(but=1)
 @pytest.mark.parametrize("end", ["", "\n"])
-def test_stock_fast_dds_reads_the_pin_in_a_file_without_a_line_end(fastdds, token, end):
+def test_stock_fast_dds_reads_the_pin_in_a_file_without_a_line_end(
+    fastdds, token, end, monkeypatch
+):
     """With one, it logs in with another PIN."""
+    monkeypatch.setattr(running, "_SETTLE", PATIENCE)  # it ends before, when both have ended
     token.pin_file.write_text(PIN + end)
     token.pqsec("ca", "init", "--profile", "classical", "--no-passphrase", "--domain", "0-10")
     for name in NAMES:
         uri = f"pkcs11:token=lab;object={name}?pin-source=file:{token.pin_file}"
         options = ("--participant-key-uri", uri, "--publish", TOPIC, "--subscribe", TOPIC)
         token.pqsec("issue", name, *options, PQSEC_PIN_FILE="")
-    went = run_both(fastdds, token, seconds=REFUSAL if end else PATIENCE)
+    went = run_both(fastdds, token, seconds=PATIENCE)
     if end:
         assert all(each.refused for each in went.outcomes)
         assert "Login failed" in logs(went)

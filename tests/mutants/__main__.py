@@ -37,16 +37,28 @@ TESTS = {
         "plugin_trust",
         "enrolment",
         "install",
+        "clocks",
+        "bundle_proofs",
     ),
     "smime": ("smime", "smime_readers"),
     "certificates": (
         "certificates",
+        "chains",
+        "short_der",
+        "limits",
         "requests",
         "revocation_lists",
         "der_cutting",
         "plugin_lists",
     ),
-    "handshake": ("handshake", "handshake_wire", "protection", "tamper", "attack_checks"),
+    "handshake": (
+        "handshake",
+        "handshake_versions",
+        "handshake_wire",
+        "protection",
+        "tamper",
+        "attack_checks",
+    ),
     "enrolment": (
         "archive",
         "hostile_archives",
@@ -56,6 +68,13 @@ TESTS = {
         "sharing",
         "domain_requests",
         "issue_with_bundles",
+        "receipt_import",
+        "receipt_order",
+        "receipts",
+        "clocks",
+        "rolled_back",
+        "bundle_proofs",
+        "limits",
     ),
     "plugin": ("plugin_*", "cli/test_plugin.py"),
     "access": (
@@ -68,13 +87,20 @@ TESTS = {
         "diff",
         "sharing",
         "plugin_rights",
+        "python_calls",
+        "permitting",
     ),
-    "approvals": ("approvals", "registration", "domain_orders"),
-    "policy": ("one_verdict", "cli/test_questions.py", "cli/test_validate.py"),
+    "approvals": ("approvals", "registration", "domain_orders", "rolled_back"),
+    "policy": ("one_verdict", "current_files", "cli/test_questions.py", "cli/test_validate.py"),
     "server": (
         "serve_admission",
         "serve_decisions",
         "serve_calls",
+        "serve_clocks",
+        "serve_status",
+        "serve_tricks",
+        "readmission",
+        "registration",
         "serve_expired",
         "serve_waiting",
         "serve_work",
@@ -161,12 +187,14 @@ class Run:
 def test_files(root: Path, rooms: tuple[str, ...]) -> list[str]:
     """For those rooms."""
     patterns = dict.fromkeys(pattern for room in rooms for pattern in TESTS[room])
-    found = [path for pattern in patterns for path in sorted((root / "tests").glob(_path(pattern)))]
+    found = [path for pattern in patterns for path in paths(root, pattern)]
     return [str(path.relative_to(root)) for path in dict.fromkeys(found)]
 
 
-def _path(pattern: str) -> str:
-    return pattern if "/" in pattern else f"unit/test_{pattern}.py"
+def paths(root: Path, pattern: str) -> list[Path]:
+    """The files of a pattern in TESTS."""
+    name = pattern if "/" in pattern else f"unit/test_{pattern}.py"
+    return sorted((root / "tests").glob(name))
 
 
 def accepted(root: Path) -> dict[str, str]:
@@ -223,8 +251,9 @@ def options() -> argparse.ArgumentParser:
 
 
 def measured(copy: Copy, files: list[str], kept: Path | None) -> Measured:
-    """By running them, unless it is kept."""
+    """By running them, unless it is kept; the copy has their bytecode then."""
     if kept and kept.exists():
+        copy.run(files, None, MEASURING, "--collect-only")
         read = json.loads(kept.read_text())
         lines = {
             path: {int(line): tests for line, tests in found.items()}
@@ -255,12 +284,12 @@ def main() -> int:
         return 0
     warm()
     with tempfile.TemporaryDirectory(prefix="pqsec-mutants-") as folder:
-        copies = [
-            Copy.made(chosen.root, Path(folder).resolve() / str(n)) for n in range(chosen.jobs)
-        ]
+        folders = [Path(folder).resolve() / str(number) for number in range(chosen.jobs)]
+        first = Copy.made(chosen.root, folders[0])
         try:
-            found = measured(copies[0], test_files(chosen.root, rooms), chosen.measured)
-            run = Run(copies, found)
+            found = measured(first, test_files(chosen.root, rooms), chosen.measured)
+            others = [Copy.made(chosen.root, each, compiled=first) for each in folders[1:]]
+            run = Run([first, *others], found)
             run.all(wanted, until)
         except RuntimeError as error:
             print(error, file=sys.stderr)

@@ -20,6 +20,7 @@ import traceback
 import venv
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
+from importlib.util import cache_from_source
 from pathlib import Path
 
 from coverage import CoverageData
@@ -55,7 +56,8 @@ class Ran:
 class _Recorder:
     """A plugin of pytest."""
 
-    def __init__(self) -> None:
+    def __init__(self, *, measures: bool) -> None:
+        self._measures = measures
         self.failed: str | None = None
         self.seconds: dict[str, float] = {}
         self.starting: set[str] = set()
@@ -68,6 +70,8 @@ class _Recorder:
 
     def pytest_collection_finish(self) -> None:
         """Rooms load on demand: what runs at import must not look as if one test ran it."""
+        if not self._measures:
+            return  # it takes longer than most tests
         for each in pkgutil.walk_packages(importlib.import_module(PACKAGE).__path__, f"{PACKAGE}."):
             if not each.name.endswith("__main__"):
                 with suppress(ModuleNotFoundError):  # those of ROS 2 are not there
@@ -90,16 +94,16 @@ class Copy:
     pid: int = 0
 
     @classmethod
-    def made(cls, root: Path, folder: Path) -> "Copy":
-        """A new one."""
+    def made(cls, root: Path, folder: Path, compiled: "Copy | None" = None) -> "Copy":
+        """A new one, with the bytecode of `compiled`, which has no mutant."""
         folder.mkdir(parents=True)
+        source = compiled.folder if compiled else root
+        ignored = None if compiled else shutil.ignore_patterns("__pycache__")
         for name in COPIED:
-            if (root / name).is_dir():
-                shutil.copytree(
-                    root / name, folder / name, ignore=shutil.ignore_patterns("__pycache__")
-                )
-            elif (root / name).exists():
-                shutil.copy2(root / name, folder / name)
+            if (source / name).is_dir():
+                shutil.copytree(source / name, folder / name, ignore=ignored)
+            elif (source / name).exists():
+                shutil.copy2(source / name, folder / name)
         copy = cls(root, folder)
         venv.create(folder / "venv", symlinks=True)
         [packages] = (folder / "venv/lib").glob("python*/site-packages")
@@ -162,7 +166,7 @@ class Copy:
                 source = (self.root / each.path).read_bytes()
                 path.write_bytes(source if each is not mutant else each.applied(source))
                 # Its date has whole seconds; a mutant of the same length would be taken for it.
-                shutil.rmtree(path.parent / "__pycache__", ignore_errors=True)
+                Path(cache_from_source(path)).unlink(missing_ok=True)
         self._mutant = mutant
 
     def _child(self, tests: list[str], options: tuple[str, ...]) -> None:
@@ -186,7 +190,7 @@ class Copy:
         sys.dont_write_bytecode = self._mutant is not None
         if sys.dont_write_bytecode:
             os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-        recorder = _Recorder()
+        recorder = _Recorder(measures=self._mutant is None)
         pytest = importlib.import_module("pytest")
         own = ["-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
         own += ["--basetemp", "tmp"]  # where others run tests too, each clears up what is in /tmp

@@ -33,6 +33,8 @@ TEXT = st.text(
     | st.sampled_from("\t\n\r<>&'\"]"),
     max_size=12,
 )
+TOPIC = TEXT.filter(lambda text: text.strip(" \t\r\n"))
+"""An empty one crashes stacks, and is not written."""
 ID = st.integers(0, 2**31 - 1)
 DOMAINS = st.builds(
     DomainSet,
@@ -43,7 +45,7 @@ DOMAINS = st.builds(
 TIMES = st.datetimes(datetime(1, 1, 2), datetime(2261, 12, 30), timezones=st.timezones())  # noqa: DTZ001 - the bounds hypothesis wants
 CRITERIA = st.builds(
     Criteria,
-    topics=st.lists(TEXT, min_size=1, max_size=3).map(tuple),
+    topics=st.lists(TOPIC, min_size=1, max_size=3).map(tuple),
     partitions=st.lists(TEXT, max_size=2).map(tuple),
     data_tags=st.lists(st.tuples(TEXT, TEXT), max_size=2).map(tuple),
 )
@@ -77,13 +79,19 @@ def permissions(text=TEXT):
 PROTECTION = st.sampled_from(ProtectionKind)
 TOPIC_RULES = st.builds(
     TopicRule,
-    topic_expression=TEXT,
+    topic_expression=TOPIC,
+    enable_discovery_protection=st.booleans(),
+    enable_liveliness_protection=st.booleans(),
+    enable_read_access_control=st.booleans(),
+    enable_write_access_control=st.booleans(),
     metadata_protection_kind=PROTECTION,
     data_protection_kind=st.sampled_from(list(ProtectionKind)[:3]),
 )
 DOMAIN_RULES = st.builds(
     DomainRule,
     domains=DOMAINS,
+    allow_unauthenticated_participants=st.booleans(),
+    enable_join_access_control=st.booleans(),
     discovery_protection_kind=PROTECTION,
     liveliness_protection_kind=PROTECTION,
     rtps_protection_kind=PROTECTION,

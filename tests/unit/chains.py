@@ -7,6 +7,7 @@ tests/interop/test_chains.py the OpenSSL that the stacks use.
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from functools import cache
+from ipaddress import ip_address, ip_network
 
 from cryptography import x509
 from cryptography.hazmat.primitives import hashes
@@ -116,6 +117,11 @@ def x509_name(der):
     return x509.DirectoryName(x509.Name.from_bytes(der))
 
 
+def directory(der):
+    """A directoryName of a name that cryptography does not write."""
+    return tlv(0xA4, der)
+
+
 def _identified(by_key=None, issuer=None, serial=None):
     names = None if issuer is None else [x509_name(issuer)]
     return x509.AuthorityKeyIdentifier(by_key, names, serial)
@@ -142,6 +148,10 @@ def _key_identifiers():
         yield Case(f"list identifies {words}", accepted, with_key, leaf(), crl(extension(value)))
         if "issuer in" not in words:
             yield Case(f"CA identifies {words}", accepted, ca(own, extension(value)), leaf())
+    for words, accepted, issuer in (("its issuer", GOOD, CA_NAME), ("another", BAD, LEAF_NAME)):
+        several = [x509.DNSName("ca.example"), x509_name(issuer)]
+        value = x509.AuthorityKeyIdentifier(None, several, 7)
+        yield Case(f"leaf names {words} behind a host", accepted, with_key, leaf(extension(value)))
     critical = crl(extension(_identified(b"ca" * 10), TRUE))
     yield Case("a critical identifier of a list", GOOD, with_key, leaf(), critical)
 
@@ -162,6 +172,8 @@ def _names():
         yield Case(f"{words} of a list", accepted, ca(), leaf(), crl(issuer=issuer))
         revoking = crl(issuer=issuer, entries=[entry()])
         yield Case(f"{words} of a list that revokes", BAD, ca(), leaf(), revoking)
+    other = certificate(CA_NAME, LEAF_NAME, "ca", [IS_CA])
+    yield Case("a CA that names another as its issuer", BAD, other, leaf())
     yield Case("the CA's own name", BAD, ca(), leaf(subject=CA_NAME))
     yield Case("the CA's own name, capitals", BAD, ca(), leaf(subject=common("IDENTITY CA")))
     for text in ("identity_ca", "*.lab", "ca@lab"):
@@ -185,6 +197,9 @@ def _names():
 
 
 def _forms():
+    for text in ("alice", "*.lab"):
+        first = leaf(subject=common(text, PRINTABLE), version=b"")
+        yield Case(f"a printable {text} of version 1", GOOD, ca(), first)
     false = extension(b"\x30\x03" + FALSE, oid="2.5.29.19")
     yield Case("cA FALSE", GOOD, ca(), leaf(false))
     critical = extension(b"\x30\x03" + FALSE, TRUE, oid="2.5.29.19")
@@ -241,6 +256,43 @@ def issuing(*addresses, **options):
     return x509.IssuingDistributionPoint(**given | options)
 
 
+def _partitions(a, b, some):
+    """Distribution points of certificates, and that of a list."""
+    of_a, every = issuing(a), frozenset(x509.ReasonFlags) - {
+        x509.ReasonFlags.unspecified, x509.ReasonFlags.remove_from_crl
+    }  # fmt: skip
+    host, ours, other = x509.DNSName("ca.example"), x509_name(CA_NAME), x509_name(LEAF_NAME)
+    url = [x509.UniformResourceIdentifier(a)]
+
+    def by(*issuers):
+        return x509.CRLDistributionPoints([x509.DistributionPoint(url, None, None, issuers)])
+
+    yield "for all reasons, one by one", GOOD, points(a, reasons=every), of_a
+    yield "of its partition among others", GOOD, points("ldap://x", a), issuing(b, a)
+    yield "of any partition of this CA", GOOD, points(issuer=CA_NAME), of_a
+    yield "of any partition of another CA", BAD, points(issuer=LEAF_NAME), of_a
+    yield "of its partition, of several CAs", GOOD, by(other, ours), of_a
+    yield "of its partition, of a host and this CA", GOOD, by(host, ours), of_a
+    yield "of its partition, of a host", BAD, by(host), of_a
+    users = issuing(only_contains_user_certs=True)
+    yield "of user certificates, which names a partition", GOOD, points(a), users
+    yield "of all, beside a partition of another CA", GOOD, points(a, issuer=LEAF_NAME), None
+    part = x509.RelativeDistinguishedName([x509.NameAttribute(Oid(CN), "x")])
+    relative = x509.DistributionPoint(None, part, None, [ours])
+    yield "of a relative partition", BAD, x509.CRLDistributionPoints([relative]), of_a
+    twice = [x509.DistributionPoint(url, None, each, None) for each in (some, None)]
+    yield "of its partition, twice, first for some", BAD, x509.CRLDistributionPoints(twice), of_a
+    yield "of it, last for some", GOOD, x509.CRLDistributionPoints(twice[::-1]), of_a
+    mixed = [*url, ours]
+    for words, of_leaf, of_list in (("first", mixed, [ours]), ("last", [ours], mixed)):
+        named = x509.CRLDistributionPoints([x509.DistributionPoint(of_leaf, None, None, None)])
+        yield f"of a directory and an address, {words}", GOOD, named, issuing(full_name=of_list)
+    for text, accepted in (("IDENTITY ca", GOOD), ("other", BAD)):
+        named = x509.DistributionPoint([x509_name(common(text))], None, None, None)
+        point = issuing(full_name=[ours])
+        yield f"of the partition {text}", accepted, x509.CRLDistributionPoints([named]), point
+
+
 def _scopes():
     a, b = "http://a.example/crl", "http://b.example/crl"
     some = frozenset({x509.ReasonFlags.key_compromise})
@@ -265,6 +317,7 @@ def _scopes():
     made = crl(extension(explicit, TRUE, "2.5.29.28"))
     yield Case("list of user certificates, CA FALSE", GOOD, ca(), leaf(), made)
     for words, accepted, value, point in (
+        *_partitions(a, b, some),
         ("of its partition", GOOD, points(a), issuing(a)),
         ("of one of its partitions", GOOD, points(b, a), issuing(a)),
         ("of another partition", BAD, points(b), issuing(a)),
@@ -297,6 +350,69 @@ def _scopes():
     yield Case("indirect list with an entry of another CA", BAD, ca(), leaf(), made)
 
 
+def _several(lab, acme, alice, dns):
+    """Of one form and of several."""
+    both, number = [x509_name(acme), x509_name(lab)], x509.RegisteredID(Oid(OTHER))
+    host = x509.DNSName("a.lab.example")
+    yield "one of two directories", GOOD, constraints(permitted=both), alice, ()
+    yield "one of two excluded directories", BAD, constraints(excluded=both), alice, ()
+    yield "a form without constraints", GOOD, constraints(permitted=dns), LEAF_NAME, (number,)
+    yield "a form that nobody compares", BAD, constraints(permitted=[number]), LEAF_NAME, (number,)
+    yield "it excluded", BAD, constraints(excluded=[number]), LEAF_NAME, (number,)
+    yield "no name of its form", GOOD, constraints(permitted=[number]), LEAF_NAME, (host,)
+    within = constraints(permitted=dns, excluded=[host])
+    yield "excluded within a permitted", BAD, within, LEAF_NAME, (host,)
+    yield "beside an excluded", GOOD, within, LEAF_NAME, (x509.DNSName("b.lab.example"),)
+
+
+def _hosts(limits):
+    inside, outside = x509.DNSName("a.lab.example"), "a.other.example"
+    yield "DNS, CN beside a SAN", GOOD, limits, common(outside), (inside,)
+    yield "DNS, two SANs", BAD, limits, LEAF_NAME, (inside, x509.DNSName(outside))
+    yield "DNS, NUL in CN", BAD, limits, common(f"{outside}\0.lab.example"), ()
+    yield "DNS, NUL after CN", GOOD, limits, common("a.lab.example\0"), ()
+    yield "DNS, CN of one label", GOOD, limits, common("other"), ()
+    for text in ("a..example", "a-.example", "a.-example", "a example.com", ".other.example"):
+        yield f"DNS, CN {text}", GOOD, limits, common(text), ()
+    dotted = constraints(permitted=[x509.DNSName(".lab.example")])
+    yield "DNS with a dot, SAN below", GOOD, dotted, LEAF_NAME, (x509.DNSName("A.Lab.example"),)
+    yield "DNS with a dot, SAN", BAD, dotted, LEAF_NAME, (x509.DNSName("lab.example"),)
+    yield "DNS, the domain", GOOD, limits, LEAF_NAME, (x509.DNSName("LAB.example"),)
+    every = constraints(permitted=[x509.DNSName("")])
+    yield "DNS, all", GOOD, every, LEAF_NAME, (inside,)
+
+
+def _mails(limits):
+    one = constraints(permitted=[x509.RFC822Name("a@lab.example")])
+    dotted = constraints(permitted=[x509.RFC822Name(".a@lab.example")])
+    below = constraints(permitted=[x509.RFC822Name(".example")])
+    mail = x509.RFC822Name
+    yield "mail, its user", GOOD, one, LEAF_NAME, (mail("a@LAB.example"),)
+    yield "mail, another user", BAD, one, LEAF_NAME, (mail("b@lab.example"),)
+    yield "mail, its user in capitals", BAD, one, LEAF_NAME, (mail("A@lab.example"),)
+    yield "mail, its user elsewhere", BAD, one, LEAF_NAME, (mail("a@x.example"),)
+    yield "mail, a user with a dot", GOOD, dotted, LEAF_NAME, (mail(".a@lab.example"),)
+    yield "mail, a host below", GOOD, below, LEAF_NAME, (mail("a@lab.example"),)
+    yield "mail, no host below", BAD, below, LEAF_NAME, (mail("a@lab.other"),)
+    yield "mail, SAN", GOOD, limits, LEAF_NAME, (mail("a@lab.example"),)
+    yield "mail without a host", BAD, limits, name((CN, "x", UTF8), (MAIL, "lab", IA5)), ()
+    other = x509.OtherName(Oid(OTHER), b"\x0c\x01x")
+    yield "mail, another name", GOOD, limits, LEAF_NAME, (other,)
+
+
+def _addresses():
+    uri, ip = x509.UniformResourceIdentifier, x509.IPAddress
+    lab, below = constraints(permitted=[uri("lab")]), constraints(permitted=[uri(".lab")])
+    yield "URI, its host", GOOD, lab, LEAF_NAME, (uri("http://LAB/x"),)
+    yield "URI, its host and a port", GOOD, lab, LEAF_NAME, (uri("http://lab:80/x"),)
+    yield "URI, no host below", BAD, below, LEAF_NAME, (uri("http://lab/x"),)
+    yield "URI, the dot alone", BAD, below, LEAF_NAME, (uri("http://.lab/x"),)
+    yield "URI, a path that begins with its host", BAD, lab, LEAF_NAME, (uri("urn:lab/x"),)
+    net = constraints(permitted=[ip(ip_network("10.0.0.0/8"))])
+    yield "IP", GOOD, net, LEAF_NAME, (ip(ip_address("10.1.2.3")),)
+    yield "IP of another", BAD, net, LEAF_NAME, (ip(ip_address("11.1.2.3")),)
+
+
 def _constraints():
     lab, acme = name((ORGANIZATION, "Lab", UTF8)), name((ORGANIZATION, "acme", PRINTABLE))
     alice = name((ORGANIZATION, "LAB", PRINTABLE), (CN, "/lab/alice", UTF8))
@@ -327,6 +443,10 @@ def _constraints():
         ("URI", GOOD, constraints(permitted=[uri(".lab")]), LEAF_NAME, (uri("http://a.lab/x"),)),
         ("URI of another", BAD, constraints(permitted=[uri("lab")]), LEAF_NAME, (uri("http://a.lab/x"),)),
         ("URI without a host", BAD, constraints(excluded=[uri("lab")]), LEAF_NAME, (uri("urn:x"),)),
+        *_several(lab, acme, alice, dns),
+        *_hosts(in_dns),
+        *_mails(in_mails),
+        *_addresses(),
     )  # fmt: skip
     for words, accepted, limits, subject, others in cases:
         san = [extension(x509.SubjectAlternativeName(others))] if others else []
@@ -343,6 +463,126 @@ def _constraints():
     limits = sequence_of([tlv(0xA0, tree)])
     bounded = ca(extension(limits, TRUE, "2.5.29.30"))
     yield Case("constraints, minimum", BAD, bounded, leaf(subject=host))
+    plain = sequence_of([tlv(0x82, b"lab.example")])
+    bounded = ca(extension(sequence_of([tlv(0xA0, plain + tree)]), TRUE, "2.5.29.30"))
+    yield Case("constraints, minimum of the last", BAD, bounded, leaf(subject=host))
+    in_directory = ca(extension(constraints(permitted=directory)))
+    hostless = leaf(extension(x509.SubjectAlternativeName(dns)), subject=name())
+    yield Case("constraints, no subject", GOOD, in_directory, hostless)
 
 
-CASES = [*_key_identifiers(), *_names(), *_forms(), *_scopes(), *_constraints()]
+IDP = "2.5.29.28"
+DNS = x509.SubjectAlternativeName([x509.DNSName("x.example")])
+OTHER_NAME = encode(Oid(OTHER)) + tlv(0xA0, tlv(0xA4, b"\x04\x01a"))
+
+
+def _encoded_defaults():
+    other, reason = extension(b"", FALSE, OTHER), x509.CRLReason(x509.ReasonFlags.key_compromise)
+    entries = {
+        "another extension": (GOOD, entry(other, serial=8)),
+        "two extensions": (GOOD, entry(other, extension(reason, FALSE), serial=8)),
+        "a reason, of its certificate": (BAD, entry(extension(reason, FALSE))),
+    }
+    for words, (accepted, value) in entries.items():
+        made = crl(entries=[entry(serial=5), value])
+        yield Case(f"entry with {words}, critical FALSE", accepted, ca(), leaf(), made)
+    not_critical = entry(extension(b"\x04\x03" + FALSE, oid=OTHER), serial=8)
+    yield Case("entry with FALSE as a value", GOOD, ca(), leaf(), crl(entries=[not_critical]))
+    for critical in (ABSENT, FALSE, TRUE):
+        for words, scope, accepted in (
+            ("all", b"", BAD),  # empty, which RFC 5280 5.2.5 forbids
+            ("user certificates", b"\x81\x01\xff", GOOD),
+            ("CA certificates", b"\x82\x01\xff", BAD),
+            ("other issuers", b"\x84\x01\xff", BAD),
+        ):
+            flags = [bytes((tag, 1, 0)) for tag in (0x81, 0x82, 0x84, 0x85)]
+            given = sequence_of([scope if each[:1] == scope[:1] else each for each in flags])
+            made = crl(extension(given, critical, "2.5.29.28"))
+            older = not scope
+            who = f"list for {words}, others FALSE {critical.hex()}"
+            yield Case(who, accepted, ca(), leaf(), made, older=older)
+    host = common("robot.lab.example")
+    for number, accepted in ((0, GOOD), (1, BAD)):
+        for kind in (0xA0, 0xA1):
+            tree = sequence_of([tlv(0x82, b"lab.example"), bytes((0x80, 1, number))])
+            limits = sequence_of([tlv(kind, tree)])
+            bounded = ca(extension(limits, TRUE, "2.5.29.30"))
+            words = f"constraints {kind:x} with minimum {number}"
+            yield Case(words, accepted and kind == 0xA0, bounded, leaf(subject=host))
+            words += ", another name"
+            yield Case(words, accepted and kind == 0xA1, bounded, leaf(extension(DNS)))
+    for critical in (ABSENT, TRUE):
+        value = extension(b"\x30\x00", critical, IDP)
+        words = f"list of an empty scope {critical.hex()}"
+        yield Case(words, BAD, ca(), leaf(), crl(value), older=True)
+    # A dNSName of a NUL has the octets of onlyContainsCACerts FALSE
+    for words, of_list, accepted in (("its", b"\x82\x01\0", GOOD), ("another", b"\x82\x01\1", BAD)):
+        scope = sequence_of([tlv(0xA0, tlv(0xA0, of_list + tlv(0x86, b"http://b")))])
+        made = crl(extension(scope, TRUE, IDP))
+        point = extension(_point([b"\x82\x01\0"]), oid="2.5.29.31")
+        yield Case(f"list of {words} partition, a NUL", accepted, ca(), leaf(point), made)
+
+
+def _general_names():
+    for text, tag in (("a_b*@c", PRINTABLE), ("é".encode("latin-1"), T61), (b"a", VISIBLE)):
+        accepted = tag != VISIBLE
+        own, other = common(text, tag), common("other_", PRINTABLE)
+        for words, oid, value in (
+            ("subjectAltName", "2.5.29.17", sequence_of([directory(own)])),
+            ("subjectAltName of two", "2.5.29.17", sequence_of([directory(other), directory(own)])),
+            ("distribution point", "2.5.29.31", _point([directory(own)])),
+            ("issuer of a distribution point", "2.5.29.31", _point([], directory(own))),
+        ):
+            for critical in (ABSENT, TRUE):
+                made = leaf(extension(value, critical, oid))
+                yield Case(f"{words} with {text!r} {critical.hex()}", accepted, ca(), made)
+        for words, name_of_issuer in (("its", own), ("another", other)):
+            value = sequence_of([tlv(0xA1, directory(name_of_issuer)), tlv(0x82, b"\x07")])
+            identifier = extension(value, oid="2.5.29.35")
+            same = accepted and name_of_issuer == own
+            issuer = ca(subject=own)
+            who = f"{words} issuer {text!r} identified by"
+            yield Case(f"{who} leaf", same, issuer, leaf(identifier, issuer=own))
+            made = crl(identifier, issuer=own)
+            yield Case(f"{who} list", same, issuer, leaf(issuer=own), made)
+        for words, kind, subject in (
+            ("permitted", 0xA0, own),
+            ("not permitted", 0xA0, other),
+            ("excluded", 0xA1, own),
+            ("not excluded", 0xA1, other),
+        ):
+            limits = sequence_of([tlv(kind, sequence_of([directory(own)]))])
+            issuer = ca(extension(limits, TRUE, "2.5.29.30"))
+            allowed = accepted and words in ("permitted", "not excluded")
+            who = f"constraints with {text!r}, {words}"
+            yield Case(f"{who} subject", allowed, issuer, leaf(subject=subject))
+            if kind == 0xA1:
+                san = extension(sequence_of([directory(subject)]), oid="2.5.29.17")
+                yield Case(f"{who} subjectAltName", allowed, issuer, leaf(san))
+        for words, named in (("its", own), ("another", other)):
+            point = extension(_point([directory(own)]), oid="2.5.29.31")
+            scope = sequence_of([tlv(0xA0, tlv(0xA0, directory(named)))])
+            made = crl(extension(scope, TRUE, "2.5.29.28"))
+            same = accepted and named == own
+            yield Case(f"list of {words} partition {text!r}", same, ca(), leaf(point), made)
+    san = sequence_of([directory(common("a_b", PRINTABLE)), tlv(0xA0, OTHER_NAME)])
+    yield Case("an otherName, and a_b", GOOD, ca(), leaf(extension(san, oid="2.5.29.17")))
+    two = name((CN, "a_b", PRINTABLE), (ORGANIZATION, "c*", PRINTABLE), (CN, "12", NUMERIC))
+    value = extension(sequence_of([directory(two)]), oid="2.5.29.17")
+    yield Case("a directoryName of three parts", GOOD, ca(), leaf(value))
+
+
+def _point(names, issuer=b""):
+    full = tlv(0xA0, tlv(0xA0, b"".join(names))) if names else b""
+    return sequence_of([sequence_of([full, tlv(0xA2, issuer) if issuer else b""])])
+
+
+CASES = [
+    *_key_identifiers(),
+    *_names(),
+    *_forms(),
+    *_scopes(),
+    *_constraints(),
+    *_encoded_defaults(),
+    *_general_names(),
+]

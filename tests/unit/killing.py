@@ -16,6 +16,7 @@ import subprocess
 import sys
 import time
 import traceback
+import warnings
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -106,7 +107,9 @@ def fork() -> int:
     while threads() > residents[0] and time.monotonic() < patience:
         time.sleep(0.001)
     residents[0] = max(residents[0], threads())
-    child = os.fork()
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".* is multi-threaded", DeprecationWarning)
+        child = os.fork()
     if child == 0:
         signal.alarm(300)
     return child

@@ -52,6 +52,9 @@ class Lab:
     def found(self, *targets, now=NOW):
         return found(self.root, targets=targets, now=now)
 
+    def report(self, *targets, now=NOW):
+        return check([self.root], now=now, targets=targets)
+
     def authorities(self):
         return Keystore.open(self.root).unlock(SECRET)
 

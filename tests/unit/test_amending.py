@@ -11,6 +11,7 @@ from pqsec_pki.access import (
     add_grant,
     add_rights,
     decide,
+    granted_topics,
     remove_rights,
 )
 from pqsec_pki.documents import (
@@ -54,6 +55,14 @@ def may_publish(found, topic, domain=0):
 
 def rights(*topics):
     return TopicRights(publish=topics)
+
+
+def test_what_a_grant_allows_is_all_that_its_allow_rules_have_or_what_meets_a_topic():
+    found = grant(rule("a", "b*"), rule("c", allow=False))
+    assert granted_topics(found, Action.PUBLISH) == ["a", "b*"]
+    assert granted_topics(found, Action.PUBLISH, "bc") == ["b*"]
+    assert granted_topics(found, Action.PUBLISH, "c") == []
+    assert granted_topics(found, Action.SUBSCRIBE) == []
 
 
 def test_a_right_is_added_to_the_rule_of_its_domains():

@@ -11,12 +11,14 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
     BitString,
+    DirectoryAttributes,
     Extension,
     Oid,
     Signed,
     TBSCertificate,
     Validity,
     algorithm,
+    attribute,
     bits,
     decode,
     encode,
@@ -31,14 +33,23 @@ from pqsec_pki.certificates import (
     verify_authority,
     verify_chain,
 )
+from pqsec_pki.certificates._names import name_line, name_text
+from pqsec_pki.certificates._sequence import (
+    MAX_SEQUENCE_NUMBER,
+    SEQUENCE_NUMBER,
+    read_sequence_number,
+)
 from pqsec_pki.certificates.authority import LAST_YEAR, cut, key_identifier
 from pqsec_pki.certificates.certificate import MAX_CERTIFICATE
 from pqsec_pki.errors import MalformedError, PqsecError, UsageError, VerificationError
+from tests.unit import chains
+from tests.unit.chains import T61, UTF8
 from tests.unit.version_1 import in_version_1
 
 NOW = datetime(2026, 11, 21, 12, 30, 15, tzinfo=UTC)
 DAY, YEAR = timedelta(days=1), timedelta(days=365)
 ROWS = [row for row in SIGNATURES if "3072" not in row.name and "4096" not in row.name]
+BITS = 0x03
 ALTERNATIVES = ("2.5.29.72", "2.5.29.73", "2.5.29.74")
 
 each_row = pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
@@ -171,6 +182,40 @@ def test_alternative_extensions_are_never_critical(double_ca):
         found = {each.oid.dotted_string: each for each in certificate.extensions}
         assert set(ALTERNATIVES) <= set(found)
         assert not any(found[oid].critical for oid in ALTERNATIVES)
+
+
+@pytest.mark.parametrize(
+    ("oid", "value", "tag", "text"),
+    [
+        ("1.2.3.4", "ab", UTF8, "1.2.3.4=#0C026162"),
+        ("1.2.3.4", b"\xe9", T61, "1.2.3.4=#1401E9"),  # which cryptography writes in UTF-8
+        ("2.5.4.45", b"\0Z", BITS, "x500UniqueIdentifier=#0302005A"),
+        ("2.5.4.45", "ab", UTF8, "x500UniqueIdentifier=ab"),
+    ],
+)
+def test_a_value_that_openssl_does_not_know_is_told_in_octets(oid, value, tag, text):
+    made = Certificate.from_der(chains.leaf(subject=chains.name((oid, value, tag))))
+    assert made.subject_name == text
+
+
+def test_a_name_that_was_not_read_is_told_like_one_that_was():
+    made = x509.Name([x509.NameAttribute(Oid("1.2.3.4"), "ab")])
+    assert (name_text(made), name_line(made)) == ("1.2.3.4=#0C026162", "/1.2.3.4=ab")
+
+
+@pytest.mark.parametrize("number", [1, MAX_SEQUENCE_NUMBER])
+def test_a_sequence_number_is_that_of_a_ledger_line(number):
+    assert read_sequence_number(encode(number)) == number
+    outside = number - 1 if number == 1 else number + 1
+    with pytest.raises(MalformedError, match="not the number of a ledger line"):
+        read_sequence_number(encode(outside))
+
+
+def test_another_attribute_in_the_place_of_the_sequence_number_is_none():
+    for oid, number in ((SEQUENCE_NUMBER.dotted_string, 7), ("1.2.3.4", None)):
+        value = encode(DirectoryAttributes(attribute=attribute(oid, encode(7))))
+        made = chains.leaf(chains.extension(value, oid="2.5.29.9"))
+        assert Certificate.from_der(made).number == number
 
 
 def test_a_certificate_says_who_it_is_for(ca):

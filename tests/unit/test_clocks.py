@@ -5,10 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from pqsec_pki.credentials import Credentials
+from pqsec_pki.credentials import PROOF, Credentials
 from pqsec_pki.documents import Governance
 from pqsec_pki.enrolment import Bundle, head_problems, install, rollback
 from pqsec_pki.enrolment.credential_store import CredentialStore
+from pqsec_pki.enrolment.robot_clock import verification_time
 from pqsec_pki.enrolment.trust import Marks, TrustState
 from pqsec_pki.errors import KeystoreError, VerificationError
 from pqsec_pki.keystore import CLOCK_SKEW, Keystore, State, list_status, status, was_ahead
@@ -17,6 +18,7 @@ from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
     Rollover,
+    Scope,
     adopt,
     issue,
     renew,
@@ -27,8 +29,9 @@ from pqsec_pki.lifecycle import (
 from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.server.list_keeping import keep_list
+from pqsec_pki.transparency import LedgerProof
 from tests.unit.enrolling import with_files
-from tests.unit.keystores import DAY, NOW, made, rotate
+from tests.unit.keystores import DAY, NOW, begin_overlap, made, rotate
 
 MONTH, ROBOT = 30 * DAY, "/talker"
 KEEP = Renewal(rekey=False)
@@ -166,6 +169,32 @@ def test_what_has_no_number_is_older_than_what_has_one(keystore, tmp_path):
         put(robot, with_files(bundle(keystore), ROBOT, governance_p7s=plain))
 
 
+def test_certificates_and_lists_that_begin_after_the_robots_clock_are_told(keystore, tmp_path):
+    revoke(keystore, cas(keystore), ["/listener"], now=NOW + DAY)
+    done = put(tmp_path / "robot", bundle(keystore, now=NOW + DAY), now=NOW - 20_000 * DAY)
+    told = {each.subject for each in done.future if "a clock is wrong" in str(each)}
+    assert told == {f"{ROBOT}: cert.pem", f"{ROBOT}: crl.pem"}
+
+
+def test_a_clock_before_a_new_ca_and_after_the_others_is_believed(keystore):
+    """In an overlap; a clock from before all CAs is not."""
+    terms = Rollover(profile=keystore.profile, scope=Scope.IDENTITY)
+    begin_overlap(keystore, terms, kept=cas(keystore), passphrase=None, now=NOW + MONTH)
+    found = bundle(keystore, now=NOW + MONTH).credentials
+    assert verification_time(found, None, NOW) == NOW
+    assert verification_time(found, None, NOW - MONTH) > NOW
+
+
+def test_older_credentials_of_other_cas_are_not_proposed_with_older(keystore, tmp_path):
+    older, other = bundle(keystore), bundle(made(tmp_path / "other", "classical"))
+    renew(keystore, cas(keystore), [ROBOT], KEEP, now=NOW)
+    for each in (bundle(keystore), other):
+        put(tmp_path / "robot", each, pins=each.roles)
+    with pytest.raises(VerificationError, match="is older") as refused:
+        put(tmp_path / "robot", older, pins=older.roles)
+    assert "credentials of other CAs" in refused.value.hint
+
+
 # The head of the ledger
 
 
@@ -184,6 +213,20 @@ def test_a_smaller_head_is_refused(fork, tmp_path):
     with pytest.raises(VerificationError, match="of an older ledger") as refused:
         put(tmp_path / "robot", bundle(fork))
     assert Code.OLDER in refused.value.codes
+
+
+def test_a_smaller_head_than_that_of_an_older_pqsecs_set_is_refused(fork, tmp_path):
+    (tmp_path / "robot/trust.json").unlink()  # which it did not write
+    sign(fork, NOW)
+    with pytest.raises(VerificationError, match="of an older ledger") as refused:
+        put(tmp_path / "robot", bundle(fork), trust_first=False)
+    assert Code.OLDER in refused.value.codes
+
+
+def test_a_set_of_an_older_pqsec_that_has_no_proof_has_no_head(keystore, tmp_path):
+    put(tmp_path / "robot", replace(bundle(keystore), proof=None))
+    (tmp_path / "robot/trust.json").unlink()
+    assert put(tmp_path / "robot", bundle(keystore), trust_first=False).names == (ROBOT,)
 
 
 def test_a_fork_of_the_same_size_is_refused(fork, keystore, tmp_path):
@@ -222,6 +265,29 @@ def test_a_check_finds_a_head_that_is_older_than_one_seen(fork, tmp_path):
     assert found() == []
     put(robot, bundle(fork), older=True)
     assert any("of an older ledger" in each for each in found())
+
+
+def test_only_the_current_set_of_a_robot_is_compared_with_the_head_seen(fork, tmp_path):
+    robot = tmp_path / "robot"
+    put(robot, bundle(fork), older=True)
+    current, trust = robot / "current", robot / "trust.json"
+    found = CredentialStore(robot).current
+    files = found.enclaves[ROBOT]
+    head = LedgerProof.from_bytes(files[PROOF]).checkpoint.head
+
+    def problems():
+        return list(
+            head_problems(found.path / "enclaves/talker", Credentials.of(ROBOT, files), head)
+        )
+
+    assert [each.code for each in problems()] == [Code.OLDER]
+    trust.rename(robot / "trust.kept")
+    assert problems() == []
+    (robot / "trust.kept").rename(trust)
+    current.unlink()
+    assert problems() == []
+    current.symlink_to("sets/1")
+    assert problems() == []
 
 
 def test_bundles_for_two_participants_are_installed_in_any_order(keystore, tmp_path):

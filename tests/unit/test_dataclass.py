@@ -82,6 +82,18 @@ def test_a_frozen_value_cannot_be_changed(decorator, slots):
 
 
 @BOTH
+def test_a_field_without_hash_is_compared_and_not_hashed(decorator):
+    @decorator(**FROZEN)
+    class Found:
+        name: str
+        stacks: dict[str, str] = dataclasses.field(hash=False)
+
+    one, other = Found("x", {"a": "1"}), Found("x", {})
+    assert one != other
+    assert hash(one) == hash(other)
+
+
+@BOTH
 def test_a_value_is_hashed_if_it_is_frozen_and_compared(decorator):
     assert hash(row(decorator, **FROZEN)(1)) == hash(row(decorator, **FROZEN)(1))
     with pytest.raises(TypeError, match="unhashable"):

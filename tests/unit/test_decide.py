@@ -1,7 +1,7 @@
 """Who may do what: each rule of the standard, and where each stack reads otherwise."""
 
 from dataclasses import replace
-from datetime import UTC, datetime, timedelta
+from datetime import UTC, datetime, timedelta, timezone
 
 import pytest
 
@@ -17,6 +17,7 @@ from pqsec_pki.access import (
     Protection,
     Question,
     Viewpoint,
+    _subjects,
     decide,
     interpretations_named,
     names_of,
@@ -100,6 +101,24 @@ def ask(*rules, by=None, interpretation=SPEC, governed=None, default=DefaultActi
 
 
 # The standard.
+
+
+def test_cyclone_knows_grants_for_subjects_of_twenty_parts_and_no_more():
+    twenty = ",".join(["CN=r", *(f"OU={each}" for each in range(19))])
+    assert _subjects.cyclonedds(twenty, "CN=r")
+    assert not _subjects.cyclonedds(f"{twenty},OU=x", "CN=r")
+
+
+def test_a_question_asked_in_another_time_zone_is_the_same_question():
+    there = timezone(timedelta(hours=2))
+    assert question(now=NOW.astimezone(there)) == question()
+    assert question(now=NOW.astimezone(there)).now.tzinfo is UTC
+
+
+def test_a_pattern_that_is_the_name_of_a_topic_does_not_allow_that_topic():
+    assert ask(allow(*criteria("[ab]")), topic="a").allowed
+    assert not ask(allow(*criteria("[ab]")), topic="[ab]").allowed
+    assert ask(allow(*criteria("\\[ab]")), topic="[ab]").allowed
 
 
 def test_a_rule_that_has_the_topic_allows():
@@ -314,7 +333,11 @@ def test_what_governance_opens_is_closed_to_those_who_may_not_join():
     assert ask(governed=governance(topics("a", write=False), join=False)).allowed
     closed = governance().domain_rules[0]
     [last] = closed.topic_rules[-1:]
-    for rules, allowed in (((last,), False), ((topics("a", write=False), last), True)):
+    for rules, allowed in (
+        ((last,), False),
+        ((topics("a", write=False), last), True),
+        ((topics("a", read=False), last), True),
+    ):
         governed = Governance(domain_rules=(replace(closed, topic_rules=rules),))
         assert ask(governed=governed, action=JOIN, by=Viewpoint.OWN).allowed == allowed
 
@@ -644,6 +667,18 @@ def test_a_grant_in_force(times, wanted):
     assert names_of(said) == wanted.split()
 
 
+def test_opendds_allows_one_default_partition_and_not_two():
+    for partitions, allowed in (((), True), (("",), True), (("", ""), False)):
+        found = ask(*RULES, interpretation=OPENDDS, partitions=partitions)
+        assert found.allowed == allowed
+
+
+def test_a_grant_that_starts_now_has_not_ended_for_cyclone():
+    late = Permissions(grants=(grant(*RULES, start=NOW),))
+    denied = decide(governance(), late, question(), CYCLONEDDS)
+    assert denied.reason.startswith("grant 'g' starts at")
+
+
 def test_a_grant_for_ever_is_over_for_cyclone_dds():
     for year, wanted in ((2262, list(INTERPRETATIONS)), (2263, [SPEC, FASTDDS, OPENDDS])):
         rules = allow(*criteria("a"))
@@ -733,7 +768,6 @@ def test_fast_dds_uses_the_rules_of_other_domains_where_only_itself_judges():
             (governance(domains=DomainSet(parts=(0, DomainRange(first=3, last=1)))), grant()),
             "empty",
         ),
-        ((governance(topics("")), grant()), "empty topic"),
     ],
 )
 def test_cyclone_dds_reads_nothing_of_some_documents(documents, words):
@@ -860,6 +894,10 @@ def test_a_reading_is_found_by_its_name():
         ("cyclonedds@0.10.5", (CYCLONEDDS,)),
         ("cyclonedds@11", (CYCLONEDDS_11,)),
         ("cyclonedds@11.0.1", (CYCLONEDDS_11,)),
+        ("fastdds", (FASTDDS,)),
+        ("fastdds/C", FASTDDS.locales[:1]),
+        ("fastdds/C.UTF-8", FASTDDS.locales[1:]),
+        ("spec/C.UTF-8", SPEC.locales[1:]),
     ],
 )
 def test_a_version_is_within_its_row_and_a_stack_has_all_of_its_rows(name, rows):
@@ -871,6 +909,7 @@ def test_a_version_is_within_its_row_and_a_stack_has_all_of_its_rows(name, rows)
     [
         *("connext", "cyclonedds@", "cyclonedds@0.9", "cyclonedds@0.1", "cyclonedds@11.1"),
         *("cyclonedds@11.", "cyclonedds@11.0.x", "cyclonedds@1", "@11.0", "spec@", "spec@1.1", ""),
+        *("fastdds/", "fastdds/c", "fastdds/en_US.UTF-8", "opendds/C", "cyclonedds@11/C", "/C"),
     ],
 )
 def test_a_version_without_a_row_is_refused(name):

@@ -486,6 +486,12 @@ def test_a_topic_rule_is_told_by_the_topics_it_governs(topics, words):
     assert governance_told(STRICT, with_rule(topics=tuple(topics))) == words
 
 
+def test_a_topic_comes_under_governance():
+    [words] = governance_told(with_rule(topics=(topic_rule("rt/*"),)), STRICT)
+    assert words.startswith("granted: domain 0, some of '*', such as 'x', but none of 'rt/*'")
+    assert words.endswith(": governed, so that it can be used")
+
+
 def test_a_domain_comes_and_goes():
     wide = Governance.protected(DomainSet.of(0, 1))
     assert governance_told(STRICT, wide) == [

@@ -471,3 +471,22 @@ def test_a_table_with_many_columns_takes_no_long_time(read):
     columns = ",".join(f"c{number}" for number in range(100_000))
     with pytest.raises(InvalidDocumentError, match="appears twice"):
         read(f"{HEAD}- {{csv: c.csv, role: r}}\n", c_csv=f"name,{columns},c7\n")
+
+
+@pytest.mark.parametrize("topic", ["''", "' '", "$which"])
+def test_a_topic_that_crashes_a_stack_is_refused_before_anything_is_issued(problems, topic):
+    text = f"participants:\n- name: /x\n  publish: [{topic}]\n"
+    if topic == "$which":
+        text = f"roles: {{r: {{publish: [{topic}]}}}}\nparticipants:\n"
+        text += "- {name: /x, role: r, values: {which: ' '}}\n"
+    [found] = problems(text)
+    assert re.match(r"domain\.yaml: line \d: an empty <topic> .* crashes Cyclone DDS", found)
+
+
+def test_governance_that_crashes_a_stack_is_refused_before_anything_is_issued(problems):
+    rules = "{rules: [{domains: 0, topics: [{topic: ' '}]}]}"
+    xml = PRESETS[1].governance(DomainSet.of(0)).to_xml().replace(b">*<", b"> <")
+    for text, where in ((rules, "domain"), ("{file: g.yaml}", "g"), ("{file: g.xml}", "g")):
+        [found] = problems(f"governance: {text}", g_yaml=rules, g_xml=xml)
+        assert re.match(rf"{where}\.\w+: line \d+: ", found)
+        assert "an empty <topic_expression> crashes Cyclone DDS" in found

@@ -5,17 +5,21 @@ import json
 import os
 import shutil
 import stat
+from contextlib import ExitStack
 from dataclasses import replace
 from datetime import timedelta
 from functools import partial
 
 import pytest
 
+from pqsec_pki._locks import lock
 from pqsec_pki.algorithms import SealingPrivateKey, SealingPublicKey, profile_named
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import IDENTITY_CA
 from pqsec_pki.enrolment import (
     Bundle,
+    _own_folder,
+    credential_store,
     install,
     make_sealing_key,
     read_receipts,
@@ -24,6 +28,7 @@ from pqsec_pki.enrolment import (
     rollback,
     seal,
 )
+from pqsec_pki.enrolment._own_folder import locked, make_private
 from pqsec_pki.enrolment.credential_store import CredentialStore, changing
 from pqsec_pki.enrolment.trust import ROLES, pins_of
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
@@ -207,8 +212,9 @@ def test_what_an_older_pqsec_installed_tells_all_that_a_trust_state_says(place):
 def test_what_an_older_pqsec_installed_is_believed_as_it_shows(robot, bundles):
     put(robot, "2")
     (robot / "trust.json").unlink()
-    with pytest.raises(VerificationError, match="older than one installed before"):
+    with pytest.raises(VerificationError, match="older than one installed before") as caught:
         put(robot, "1", trust_first=False)
+    assert caught.value.hint == "--older installs it anyway"
     put(robot, "2", trust_first=False)
     assert (robot / "trust.json").exists()
 
@@ -452,7 +458,8 @@ def test_an_older_document_beside_a_new_certificate_is_refused(robot, bundles, k
 def test_a_bundle_that_is_refused_changes_nothing(robot, bundles, kind):
     put(robot)
     data = bundles[2].to_bytes()
-    bad = {"nonsense": b"x" * 99, "cut": data[:-9], "flipped": data[:999] + b"?" + data[1000:]}
+    flipped = data[:999] + bytes([data[999] ^ 1]) + data[1000:]
+    bad = {"nonsense": b"x" * 99, "cut": data[:-9], "flipped": flipped}
     (robot.parent / "3.bundle").write_bytes(bad.get(kind, data))
     now = NOW + timedelta(days=800) if kind == "expired" else LATER
     before = snapshot(robot)
@@ -738,6 +745,38 @@ def test_two_at_once_do_not_mix(robot):
     with changing(robot), pytest.raises(KeystoreError, match="another pqsec command"):
         put(robot)
     put(robot)
+
+
+def test_a_command_that_is_refused_does_not_remove_the_folder_that_another_uses(
+    tmp_path, monkeypatch
+):
+    """Both found no folder. Of four enrolments at once, all failed in one run of many."""
+    new = tmp_path / "new"
+    with ExitStack() as other:
+
+        def made_and_locked_by_another(folder):
+            make_private(folder)
+            other.enter_context(locked(folder))
+
+        monkeypatch.setattr(credential_store, "make_private", made_and_locked_by_another)
+        with pytest.raises(KeystoreError, match="another pqsec command"), changing(new):
+            pass
+        assert new.is_dir()
+
+
+def test_a_folder_that_another_removed_meanwhile_is_in_use(tmp_path, monkeypatch):
+    folder = tmp_path / "new"
+    with pytest.raises(KeystoreError, match="another pqsec command"), locked(folder):
+        pass  # before it was opened
+
+    def locked_too_late(handle, kind):
+        folder.rmdir()
+        lock(handle, kind)
+
+    monkeypatch.setattr(_own_folder, "lock", locked_too_late)
+    make_private(folder)
+    with pytest.raises(KeystoreError, match="another pqsec command"), locked(folder):
+        pass
 
 
 # A place that is not as it was left

@@ -240,3 +240,46 @@ def test_only_new_lines_are_read_for_the_keys_that_they_certify(keystore):
     with keystore.open_ledger() as ledger:
         [(*_, plan)] = ledger._database.execute(f"EXPLAIN QUERY PLAN {_ledger._KEYS_AFTER}", (1,))
     assert plan.endswith("(rowid>?)")
+
+
+def test_a_question_inside_another_reads_the_ledger_again_only_without_the_lock(keystore, reads):
+    with keystore.hold(), keystore.open_ledger() as outer:
+        reads.clear()
+        with keystore.open_ledger() as inner:
+            assert inner.head == outer.head
+        assert not reads
+    with keystore.open_ledger(), keystore.open_ledger():
+        assert reads
+
+
+@pytest.mark.usefixtures("later")
+def test_a_copy_is_shared_no_longer_than_the_lock_is_held(keystore, reads):
+    """Of a ledger in a database, lines that others add would come into an answer."""
+    with keystore.hold():
+        outer = keystore.open_ledger()
+    reads.clear()
+    with outer, keystore.open_ledger():
+        assert reads
+
+
+def test_a_change_inside_a_question_does_not_change_its_answer(keystore):
+    with keystore.hold(), keystore.open_ledger() as outer:
+        before, head = outer.size, outer.head
+        enter(keystore, 1)
+        assert (outer.size, outer.head) == (before, head)
+        with keystore.open_ledger() as inner:
+            assert inner.size == before + 1
+            inner.append([entry(2)])
+            assert names(keystore) == [entry(1).sha256]
+        assert (outer.size, outer.head) == (before, head)
+    assert names(keystore) == [entry(1).sha256]
+
+
+def test_a_question_outlives_the_lock_it_was_asked_under(keystore):
+    with keystore.hold():
+        outer = keystore.open_ledger()
+    enter(keystore, 1)
+    with keystore.hold():
+        assert names(keystore) == [entry(1).sha256]
+    with outer:
+        assert not outer.of_kind("receipt")

@@ -302,7 +302,10 @@ def test_adopt_goes_on_where_it_was_stopped(place, how):
         audit(Keystore.open(root))
         assert drafts(root) == []
         assert check((root,), now=NOW).inventory.interrupted_change is None
-    assert states == {(False, False), (True, False), (True, True), (False, True)} or not LONG
+    possible = {(False, False), (True, False), (True, True), (False, True)}
+    if trial is full:
+        possible.remove((True, False))  # the first move of the journal takes no space
+    assert states == possible or not LONG
     assert (True, True) in states
 
 

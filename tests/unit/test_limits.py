@@ -8,6 +8,7 @@ import os
 import shutil
 from dataclasses import replace
 from datetime import timedelta
+from itertools import product
 from types import SimpleNamespace
 
 import pytest
@@ -237,18 +238,27 @@ def test_what_cannot_be_answered_is_not_issued(tmp_path, keystore, monkeypatch, 
     assert len(answer) < estimated < 2 * len(answer)
 
 
-def test_no_bundle_is_written_if_one_of_them_could_not_be_read(tmp_path, keystore, monkeypatch):
+@pytest.mark.parametrize(
+    ("files", "limits"),
+    [
+        ({"cert.pem": b"x" * 100_000}, {"MAX_ARCHIVE": 20_000, "MAX_CONTENT": 60_000}),
+        ({f"{number}.pem": b"" for number in range(100)}, {"MAX_MEMBERS": 50}),
+    ],
+    ids=["octets", "files"],
+)
+def test_no_bundle_is_written_if_one_of_them_could_not_be_read(
+    tmp_path, keystore, monkeypatch, files, limits
+):
     bundles = [Bundle.of(keystore, [each], now=NOW) for each in ("/talker", "/listener")]
-    large = replace(bundles[1], enclaves={"/listener": {"cert.pem": b"x" * 100_000}})
-    files = [
+    large = replace(bundles[1], enclaves={"/listener": files})
+    both = [
         BundleFile(each, tmp_path / f"{number}.bundle", plain_key=True)
         for number, each in enumerate((bundles[0], large))
     ]
-    for module in (tarball, bundle_module):
-        monkeypatch.setattr(module, "MAX_ARCHIVE", 20_000)
-    monkeypatch.setattr(tarball, "MAX_CONTENT", 60_000)
+    for module, (limit, value) in product((tarball, bundle_module), limits.items()):
+        monkeypatch.setattr(module, limit, value, raising=limit != "MAX_CONTENT")
     with pytest.raises(TooLargeError):
-        write_bundles(files)
+        write_bundles(both)
     assert not list(tmp_path.glob("*.bundle"))
 
 

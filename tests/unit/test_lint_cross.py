@@ -293,13 +293,14 @@ def test_an_enclave_that_was_copied_to_a_second_robot_is_found(lab):
     assert "/second" in findings["PQS314"].message or "/talker" in findings["PQS314"].message
 
 
-def test_two_certificates_with_one_serial_number_are_found(lab):
+@pytest.mark.parametrize("issuer", ["CA", "ca"])
+def test_two_certificates_with_one_serial_number_are_found(lab, issuer):
     text = certificate("/else", issuer="CA", signer=p256(), serial=7)
     lab.put("public/else.cert.pem", text)
     assert lab.found() == {}
     lab.put("public/same.cert.pem", text)  # a copy is no second certificate
     assert lab.found() == {}
-    lab.put("public/third.cert.pem", certificate("/third", issuer="CA", signer=p256(), serial=7))
+    lab.put("public/third.cert.pem", certificate("/third", issuer=issuer, signer=p256(), serial=7))
     assert set(lab.found()) == {"PQS315"}
 
 

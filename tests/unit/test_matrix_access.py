@@ -8,6 +8,7 @@ import pytest
 from pqsec_pki.access import CYCLONEDDS, FASTDDS, INTERPRETATIONS, Action, Question, decide
 from pqsec_pki.access.deciding import InterpretedPolicy
 from pqsec_pki.access.matrix import DocumentOwner, topics_named, who_may
+from pqsec_pki.access.question import MAX_NAME
 from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Governance, Permissions
 from tests.interop.policies import TOPICS, Maker
 from tests.unit.test_diff import STRICT, allow, deny, document, topic_rule, with_rule
@@ -53,6 +54,21 @@ def test_every_topic_of_a_rule_has_a_row():
 )
 def test_a_topic_is_asked_that_no_rule_names(topic, row):
     assert rows(TALKER, LISTENER, topics=[topic]) == {topic: row}
+
+
+def test_a_pattern_that_covers_nothing_is_nobodys():
+    every = member("/every", allow("*", "[b-a]"))
+    [row] = who_may(STRICT, [every], ["[b-a]"], domain=0, now=NOW)
+    assert (row.asked, row.publishers) == (None, ())
+
+
+def test_the_longest_topic_that_rtps_has_is_asked_and_no_longer_one():
+    every = member("/every", allow("*"))
+    longest = "a" * MAX_NAME
+    assert rows(every, topics=[longest, f"{longest}a"]) == {
+        longest: (("/every",), ()),
+        f"{longest}a": ((), ()),
+    }
 
 
 def test_a_pattern_is_asked_with_a_name_that_is_no_row():

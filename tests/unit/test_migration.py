@@ -214,8 +214,8 @@ def test_dates_are_in_order_and_have_sources():
 def with_large_permissions(root):
     """Two participants, and one whose permissions fill a message with classical keys."""
     keystore = made(root, "classical")
-    # 254 kB: it fits into a token with ECDSA, and not with ML-DSA beside it.
-    topics = [f"rt/some/very/long/topic/name/number{number:06d}" for number in range(3650)]
+    # 259 kB: it fits into a token with ECDSA, and not with ML-DSA beside it.
+    topics = [f"rt/some/very/long/topic/name/number{number:06d}" for number in range(4500)]
     spec = ParticipantSpec(
         name="/large", domains=keystore.domains, publish=topics, validity=90 * DAY
     )

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from tests.mutants.__main__ import TESTS, paths
 from tests.mutants.conditions import PACKAGE, ROOMS, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -119,6 +120,12 @@ def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
 def test_a_mutant_that_runs_only_in_a_program_that_a_test_starts_is_killed_by_that_test(toy):
     kinds = {"always": "killed", "never": "killed", "boundary-1": "survived"}
     assert outcome(toy(STARTED)) == (1, kinds)
+
+
+def test_no_room_is_tried_with_tests_that_have_another_name_now():
+    assert set(TESTS) == set(ROOMS)
+    patterns = [each for patterns in TESTS.values() for each in patterns]
+    assert [each for each in patterns if not paths(ROOT, each)] == []
 
 
 @pytest.mark.slow

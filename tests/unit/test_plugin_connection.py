@@ -1,13 +1,21 @@
 """A connection of the agent: greetings, frames, refusals, and what survives them."""
 
+import os
+import selectors
+import socket
+from contextlib import ExitStack
+
 import pytest
 
 from pqsec_pki.plugin.authentication import Authentication
 from pqsec_pki.plugin.calls import VERSION
 from pqsec_pki.plugin.connection import AgentContext, Connection, ProtocolError
+from pqsec_pki.plugin.incoming import IncomingConnection, IncomingConnections
 from pqsec_pki.plugin.octets import MAX_FRAME, MessageReader
 from tests.unit.keystores import NOW
 from tests.unit.plugin_wire import RefusedError, Shim, asked, framed, greeting
+
+OURS, PARENT = os.getpid(), os.getppid()
 
 
 @pytest.fixture
@@ -85,3 +93,37 @@ def test_a_reason_is_short_and_has_no_control_characters():
     (answer,) = shim.connection.receive(framed(len(name).to_bytes(4, "little") + name.encode()))
     assert len(answer) < 1000
     assert "\n" not in shim.log[-1]
+
+
+@pytest.mark.parametrize(
+    ("starter", "order"),
+    [(OURS, [OURS, PARENT]), (None, [PARENT, OURS])],
+    ids=["the starter first", "in their order"],
+)
+def test_the_greeting_of_the_host_that_started_the_agent_is_read_first(starter, order):
+    """Another process could use the rights of its groups."""
+    greeted = []
+
+    def note_greeting(connection, _greeting):
+        greeted.append(connection.process)
+
+    with selectors.DefaultSelector() as selector, ExitStack() as stack:
+        incoming = IncomingConnections(selector, starter, note_greeting, print)
+
+        def connect(process):
+            link, host = map(stack.enter_context, socket.socketpair())
+            host.sendall(greeting("authentication"))
+            incoming.add(IncomingConnection(link, process))
+
+        def read():
+            for key, _ in selector.select(0):
+                key.data(key.fileobj)
+
+        connect(PARENT)
+        for _ in range(9):  # its length, and what follows
+            read()
+        assert greeted == order[: 0 if starter else 1]
+        connect(OURS)
+        for _ in range(9):
+            read()
+    assert greeted == order

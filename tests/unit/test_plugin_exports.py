@@ -15,8 +15,9 @@ from pqsec_pki.documents import DomainSet, ros
 from pqsec_pki.errors import FileError, UsageError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.lint import RULES, Finding
+from pqsec_pki.lint import RULES, Finding, Violation
 from pqsec_pki.plugin import LIBRARY, NAMES
+from pqsec_pki.plugin.building import CompileError
 from pqsec_pki.selfcheck import HandshakeParty, HandshakeSetup, run_handshake
 from pqsec_pki.stacks import FRAME, FRAME_MEMORY, IPFRAG_HIGH_THRESH, stack_named
 from pqsec_pki.vendors import FASTRTPS, Options, export, exporter_of
@@ -215,7 +216,7 @@ def test_what_other_plugins_make_of_it_does_not_matter(model, folder):
 
 
 def _finding(rule):
-    return Finding(rule=rule, path=Path("x"), line=None, message="x")
+    return Finding.of(rule, Violation("x"), Path("x"))
 
 
 # ROS 2
@@ -367,3 +368,9 @@ def test_the_preflight_asks_the_plugin(own, folder):
     good = environment(exported("ros2", keystore, folder))
     (enclave / "pqsec.toml").write_text('peers = "stock"')
     assert "accepts no ml-dsa-65 key" in checks(keystore, **good)["credentials"].problem
+
+
+def test_of_what_a_compiler_says_errors_are_told_or_else_the_first_lines():
+    said = "In file shim.c:\n\nshim.c:1: error:  no\n   note: here\nld: cannot find -lx\n"
+    assert CompileError.of(said).output == "shim.c:1: error: no; ld: cannot find -lx"
+    assert CompileError.of("\n  odd\n\nwords").output == "odd; words"

@@ -10,6 +10,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, load_pem_priv
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.lifecycle import renew_list
 from pqsec_pki.plugin.lists import NewestLists
+from tests.unit.chains import issuing
 from tests.unit.keystores import DAY, NOW, made
 from tests.unit.plugin_wire import RefusedError, Shim, shaken, side
 
@@ -85,6 +86,16 @@ def met(keystore, enclave):
     put(keystore, listener, 7, talker)
     assert told(here[0]) == [peer]
     return here, listener, talker
+
+
+def test_a_peer_of_whom_a_newer_list_does_not_speak_is_told_in_mid_session(keystore, enclave):
+    listener, talker = enclave("listener"), enclave("talker")
+    put(keystore, listener, 6)
+    here, there = side(listener, **LIST), side(talker)
+    [peer] = [peer for shim, _, peer in shaken(here, there) if shim is here[0]]
+    assert told(here[0]) == []
+    put(keystore, listener, 7, whole=issuing("http://lab.example/others"))
+    assert peer in told(here[0])
 
 
 def test_an_older_list_is_not_taken_in_mid_session_and_the_newer_goes_on_counting(keystore, met):

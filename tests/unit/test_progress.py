@@ -2,7 +2,7 @@
 
 import pytest
 
-from pqsec_pki import _processes
+from pqsec_pki import _processes, _progress
 from pqsec_pki._processes import LEAST, shared_out
 from pqsec_pki._progress import Stage, counted, current, stage
 from pqsec_pki.cli._progress import said
@@ -31,6 +31,21 @@ def test_an_operation_that_ends_after_the_one_around_it_leaves_none():
         pass
     within.close()
     assert current() is None
+
+
+@pytest.fixture(autouse=True)
+def no_operation(monkeypatch):
+    """Not one of another test either, whose error may still have it."""
+    monkeypatch.setattr(_progress._Now, "stage", None)
+
+
+@pytest.mark.parametrize("cores", [1, 2])
+def test_work_that_fails_ends_the_operation_although_its_error_is_kept(monkeypatch, cores):
+    monkeypatch.setattr(_processes, "_cores", lambda: cores)
+    with pytest.raises(ZeroDivisionError) as caught:
+        shared_out(lambda number: 1 // number, range(2 * LEAST))
+    assert current() is None
+    assert caught.value
 
 
 def test_a_failure_ends_the_operation():

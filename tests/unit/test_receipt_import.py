@@ -160,6 +160,17 @@ def test_a_key_that_was_compromised_is_not_believed_with_another_certificate(key
     assert "its key was revoked as compromised" in str(error)
 
 
+def test_a_robot_with_one_compromised_key_still_tells_what_the_others_run(keystore, place):
+    both, authorities = place / "both", keystore.unlock(None)
+    asked = [asked_of(keystore, both, name) for name in (ROBOT, "/fleet/other")]
+    put(both, answered(keystore, *asked))
+    renew(keystore, authorities, [ROBOT], Renewal(rekey=False), now=LATER)
+    [newest] = [each.serial for each in status(keystore, [ROBOT], now=LATER).participants]
+    revoke(keystore, authorities, [newest], now=LATER, reason=Reason.KEY_COMPROMISE)
+    found = {each.receipt.participant: each.revoked for each in receive(keystore, both)}
+    assert found == {"/fleet/other": False, ROBOT: True}
+
+
 def test_a_receipt_of_another_keystore_is_refused(keystore, robot, place):
     other = made(place / "other", "transition", names=("/arm",))
     put(place / "stranger", answered(other, asked_of(other, place / "stranger")))

@@ -6,6 +6,8 @@ from datetime import UTC, datetime, timedelta
 
 import pytest
 
+from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates.authority import BACKDATE
 from pqsec_pki.enrolment import Bundle, import_receipts, rollback
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.enrolment.receipt import read_receipts
@@ -20,6 +22,8 @@ from tests.unit.keystores import made
 
 ARM = "/arm"
 MONTH = 30 * DAY
+BEGAN = LATER - BACKDATE
+"""When certificates begin that are issued then."""
 BOOT = datetime(1970, 1, 1, 0, 1, tzinfo=UTC)
 """The time of a robot without a battery for its clock."""
 
@@ -114,6 +118,19 @@ def test_a_robot_that_starts_in_1970_is_believed(fleet, way):
         assert "before its certificate began: check the robot's clock" in done.clock
         assert fleet.state.state is InstallState.CURRENT
         assert fleet.state.receipt == done.receipt
+
+
+def test_a_clock_that_is_right_to_the_second_is_not_told_as_wrong(fleet):
+    fleet.install(trust_first=True)
+    fleet.renew()
+    [done] = fleet.import_(fleet.install(now=BEGAN))
+    assert done.clock is None
+
+
+def test_a_certificate_without_a_number_counts_as_the_oldest(fleet, monkeypatch):
+    receipt = fleet.install(trust_first=True)
+    monkeypatch.setattr(Certificate, "number", None)  # as of other tools
+    assert fleet.import_(receipt)
 
 
 @over_both

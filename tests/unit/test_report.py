@@ -19,7 +19,14 @@ from pqsec_pki.access import SPEC
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli._printing import as_json
 from pqsec_pki.credentials import anchors
-from pqsec_pki.documents import DomainSet, Governance, ros
+from pqsec_pki.documents import (
+    Criteria,
+    DomainSet,
+    Governance,
+    Grant,
+    PermissionRule,
+    ros,
+)
 from pqsec_pki.enrolment import import_receipts, install
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.errors import KeystoreError, MalformedError
@@ -31,7 +38,7 @@ from pqsec_pki.policy import fleet_in, who_may_use
 from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
 from pqsec_pki.report.picture import is_routine, matrix_of, picture_of
 from pqsec_pki.report.rows import HEADER
-from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Strength
+from pqsec_pki.report.values import FindingGroup, FindingPlace, Gap, HolderExtent, Right, Strength
 from pqsec_pki.selfcheck import stack_named
 from pqsec_pki.smime import _reading
 from tests.unit.enrolling import ROBOT, answered, asked_of
@@ -691,6 +698,37 @@ def test_hostile_changes_are_text_too(report, keystore, earlier):
     assert len(page.named("script")) == 1
     assert not page.named("img")
     assert all(each.isprintable() or each in "\n\r\t " for each in page.text)
+
+
+def test_the_report_has_rights_that_are_only_in_partitions(keystore, earlier):
+    """They had no row: as if nobody had them."""
+    now = NOW + timedelta(seconds=1)
+    criteria = (Criteria(topics=("rt/door",), partitions=("D",)),)
+    rule = PermissionRule(allow=True, domains=DomainSet.of(0), publish=criteria)
+    grant = Grant(
+        name="/door",
+        subject_name="CN=/door",
+        not_before=now,
+        not_after=now + 90 * DAY,
+        rules=(rule,),
+    )
+    door = replace(spec("/door", [], [], "0"), grants=(grant,))
+    issue(keystore, keystore.unlock(None), [door], now=now)
+    report = report_of(keystore, now=now + timedelta(seconds=1))
+    [row] = [each for each in report.rights.rows if each.label == "rt/door"]
+    [holder] = row.publishers
+    assert (row.where, holder.group.members) == ("0, partition D", ("/door",))
+    assert "lets it publish 'rt/door' in partition 'D'" in holder.reason
+    right = Right("/door", "publish", "rt/door", "0", "D")
+    assert right in report.rights.every
+    assert "0, partition D" in Page(html_of(report)).text
+    [cells] = [each for each in read_csv(csv_of(report)) if each[3:4] == ["rt/door"]]
+    assert cells[4] == "0, partition D"
+    older = json.loads(earlier.read_text())
+    older["rights"]["every"] = [each[:4] for each in older["rights"]["every"]]
+    earlier.write_text(json.dumps(older))  # as of a pqsec that did not say partitions
+    changes = changes_since(read_earlier(earlier), report, keystore)
+    assert (changes.granted, changes.removed) == ((right,), ())
 
 
 # CSV

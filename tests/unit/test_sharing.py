@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 import pytest
 
 from pqsec_pki.access.sharing import ParticipantDocuments, topics_between
-from pqsec_pki.documents import Criteria, DefaultAction, DomainSet
+from pqsec_pki.documents import Criteria, DefaultAction, DomainSet, Permissions
 from tests.unit.test_diff import STRICT, allow, deny, document, topic_rule, with_rule
 
 NOW = datetime(2026, 6, 1, tzinfo=UTC)
@@ -39,6 +39,7 @@ CASES = {
     "a topic and a pattern": ([says("rt/a")], [hears("rt/*")], ("rt/a",)),
     "one pattern": ([says("rt/*")], [hears("rt/*")], ("rt/*",)),
     "patterns that meet": ([says("a*")], [hears("*b")], ("ab",)),
+    "a pattern that meets one, beside a topic": ([says("a*")], [hears("*b", "a")], ("ab", "a")),
     "patterns that do not": ([says("a*")], [hears("b*")], ()),
     "denied": ([deny("a"), says("a", "c")], [hears("*")], ("c",)),
     "denied but for one": ([deny("a?"), says("a*")], [hears("a*")], ("a*",)),
@@ -49,6 +50,7 @@ CASES = {
         ("a",),
     ),
     "partitions apart": ([says("a", partitions=("P",))], [hears("a", partitions=("Q",))], ()),
+    "a partition that has no name": ([says("a", partitions=("[b-a]",))], [hears("a")], ()),
     "a partition and the default": ([says("a", partitions=("P",))], [hears("a")], ()),
     "data tags": ([says("a", data_tags=TAGS)], [hears("a")], ("a",)),
     "denied with a data tag": (
@@ -90,6 +92,13 @@ def test_what_governance_or_a_default_opens_is_shared():
     assert shared(other, one) == ()
     free = documents("/free", default=DefaultAction.ALLOW)
     assert shared(free, documents("/listener", hears("a", "b*"))) == ("a", "b")
+
+
+def test_what_the_default_of_one_of_several_grants_allows_is_shared():
+    free = documents("/free", default=DefaultAction.ALLOW)
+    grants = (*document(subject="CN=/other").grants, *free.permissions.grants)
+    several = replace(free, permissions=Permissions(grants=grants))
+    assert shared(several, documents("/listener", hears("a"))) == ("a",)
 
 
 def test_both_governances_count():

@@ -4,6 +4,7 @@ import base64
 import re
 import shutil
 import subprocess
+from contextlib import nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 
@@ -24,7 +25,7 @@ from pqsec_pki._asn1 import (
     time_of,
 )
 from pqsec_pki.algorithms import PROFILES, SIGNATURES, Family, digest_of, private_key_pem
-from pqsec_pki.certificates import Authority, common_name
+from pqsec_pki.certificates import Authority, Certificate, common_name
 from pqsec_pki.documents import DomainSet, Governance
 from pqsec_pki.errors import MalformedError, VerificationError
 from pqsec_pki.smime import (
@@ -41,6 +42,7 @@ from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE, to_der
 from pqsec_pki.smime._mime import MAX_MESSAGE, content_of
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, make
 from pqsec_pki.smime.document import MAX_COUNTERSIGNATURES
+from tests.unit import signers
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
 YEAR = timedelta(days=365)
@@ -481,6 +483,19 @@ def test_a_signer_named_by_another_issuer_is_refused(lab):
     sid = IssuerAndSerialNumber(issuer=issuer, serial_number=number)
     [problem] = lab.problems(with_info(lab.sign(), sid=sid))
     assert "by another certificate" in problem
+
+
+@pytest.mark.parametrize("case", signers.CASES, ids=str)
+def test_a_signer_is_named_as_openssl_compares_names(case):
+    ca = Certificate.from_der(case.ca)
+    with nullcontext() if case.accepted else pytest.raises((VerificationError, MalformedError)):
+        assert verify(case.message, ca).document == document_in(case.message)
+
+
+def test_a_signer_with_a_name_that_cryptography_refuses_is_listed():
+    [case] = (each for each in signers.CASES if str(each) == "a printable lab_ca*")
+    [signer] = signers_in(case.message).signers
+    assert signer.issuer == "CN=lab_ca*"
 
 
 def test_two_signers_are_refused(lab):

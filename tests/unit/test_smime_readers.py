@@ -402,3 +402,29 @@ def test_the_model_of_openssl_stops_at_the_first_line_that_ends_the_last_part():
     mark = b"--" + found.boundary
     more = message + mark + b"\n\nanother part\n" + mark + b"--\n"
     assert _openssl_reader.read(more) == found
+
+
+@pytest.mark.parametrize(
+    ("code", "text", "agree"),
+    [
+        ("UTF-8", "é", True),
+        ("utf8", "é", True),
+        ("ISO-8859-1", "e", True),
+        ("windows-1252", "e", True),
+        ("ISO-8859-1", "é", False),
+        ("UTF-7", "é", False),
+        ("EBCDIC-CP-US", "e", False),
+        ("punycode", "e", False),
+    ],
+)
+def test_a_declared_code_in_which_the_octets_are_other_letters_than_for_stacks(code, text, agree):
+    """Stacks read the octets as they are: they would find another topic than the one signed."""
+    head = f'<?xml version="1.0" encoding="{code}"?>'
+    codec = "latin-1" if code == "ISO-8859-1" else "utf-7" if code == "UTF-7" else "utf-8"
+    xml = f"{head}\r\n<dds><topic>{text}</topic></dds>\r\n".encode(codec)
+    signed = sign(xml, signer_of("CA", "ecdsa-p256"), now=NOW)
+    if agree:
+        assert document_in(signed) == xml
+    else:
+        with pytest.raises(AmbiguousError, match=f"it is in {code}"):
+            document_in(signed)

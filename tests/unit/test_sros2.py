@@ -1,6 +1,7 @@
 """Policies of SROS2: its own permissions come of them, and no file is read but theirs."""
 
 import os
+import re
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -8,6 +9,7 @@ import pytest
 from lxml import etree
 
 from pqsec_pki.documents import Criteria, DomainSet, Permissions, ros, sros2
+from pqsec_pki.documents._sros2_words import TYPES
 from pqsec_pki.documents._xinclude import MAX_CHAIN, MAX_ELEMENTS, MAX_INCLUDES
 from pqsec_pki.errors import FileError, InvalidDocumentError, PqsecError
 
@@ -225,6 +227,78 @@ def test_what_sros2s_schema_refuses_is_refused(read, normative, text):
     stricter = any(words in text for words in ('node="2"', "<topic></topic>", ">x y<"))
     assert not normative.validate(etree.fromstring(text)) or stricter
     with pytest.raises(InvalidDocumentError):
+        read(text)
+
+
+XSI = 'xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance"'
+EVERYTHING = policy(
+    TOPICS
+    + '<services reply="ALLOW"><service>s</service></services>'
+    + '<actions call="ALLOW"><action>a</action></actions>'
+).replace("<policy ", f"<policy {XSI} ")
+ELEMENTS = [
+    *("policy", "enclaves", "enclave", "profiles", "profile"),
+    *("topics", "topic", "services", "service", "actions", "action"),
+]
+ALLOWED_OF_XSI = [
+    'xsi:noNamespaceSchemaLocation="policy.xsd"',
+    'xsi:noNamespaceSchemaLocation="http://example.org/a b"',
+    'xsi:noNamespaceSchemaLocation=""',
+    'xsi:schemaLocation="urn:a policy.xsd"',
+    'xsi:schemaLocation="one"',
+]
+OTHERS_OF_XSI = [
+    *(f'xsi:nil="{value}"' for value in ("true", "false", "0", "x")),
+    *('xsi:type=""', 'xsi:type="nope"', 'xsi:type="RuleQualifier"', 'xsi:type="xsi:Policy"'),
+    *('xsi:other="1"', 'xsi:SchemaLocation="a b"', 'schemaLocation="a b"', 'type2="x"'),
+    *('xsi:type=" Policy "', 'xsi:type=" Expression"', 'xml:space="default"', 'xml:lang="en"'),
+]
+
+
+def with_attribute(element, attribute):
+    text = re.sub(f"<{element}(?=[ >])", f"<{element} {attribute}", EVERYTHING, count=1)
+    assert text != EVERYTHING
+    return text
+
+
+@pytest.mark.parametrize("element", ELEMENTS)
+def test_attributes_of_the_schema_instance_namespace_are_taken_as_sros2_takes_them(
+    read, normative, element
+):
+    types = [f'xsi:type="{each}"' for each in [*TYPES.values(), element]]
+    plain = permissions_of(read(EVERYTHING))
+    for attribute in [*ALLOWED_OF_XSI, *OTHERS_OF_XSI, *types]:
+        text = with_attribute(element, attribute)
+        if normative.validate(etree.fromstring(text)):
+            assert permissions_of(read(text)) == plain, attribute
+        else:
+            with pytest.raises(InvalidDocumentError, match=f"<{element}>: has "):
+                read(text)
+    assert all(
+        normative.validate(etree.fromstring(with_attribute(element, each)))
+        for each in [*ALLOWED_OF_XSI, f'xsi:type="{TYPES[element]}"']
+    )
+
+
+@pytest.mark.parametrize("attribute", ALLOWED_OF_XSI)
+def test_a_schema_location_is_taken_on_an_include_and_in_its_file(read, attribute):
+    text = including(more=f'xpointer="xpointer(/profile/*)" {XSI} {attribute}')
+    for inside in (f"<profile {XSI} {attribute}>{TOPICS}</profile>", GOOD):
+        [enclave] = read(text, {"a.xml": inside})
+        assert enclave.blocks[0].topics.publish == ("rt/ns/x",)
+
+
+def test_a_schema_location_is_not_opened(read, secret):
+    hint = f'xsi:noNamespaceSchemaLocation="{secret}"'
+    (secret.parent / "policies/policy.xsd").symlink_to("fifo")  # whoever opens it waits
+    for each in (hint, 'xsi:noNamespaceSchemaLocation="policy.xsd"'):
+        assert read(with_attribute("policy", each)) == read(EVERYTHING)
+
+
+def test_an_attribute_of_a_name_is_refused_as_sros2_does(read, normative):
+    text = policy(TOPICS.replace("<topic>", '<topic publish="DENY">'))
+    assert not normative.validate(etree.fromstring(text))
+    with pytest.raises(InvalidDocumentError, match="<topic>: has no attribute 'publish'"):
         read(text)
 
 

@@ -24,22 +24,12 @@ def test_elements_have_their_text_line_attributes_and_children():
     assert tree.root.child("x") is None
 
 
-def test_comments_inside_the_root_have_their_place():
-    found = {(each.line, each.inside, each.after, each.is_last) for each in read_tree(XML).comments}
-    assert found == {
-        (3, "b", None, False),
-        (4, "dds", "b", False),
-        (5, "dds", "d", True),
-    }
-
-
 @pytest.mark.parametrize(
     ("codec", "mark"), [("utf-8", False), ("utf-8-sig", True), ("utf-16", True)]
 )
 def test_a_byte_order_mark_is_seen(codec, mark):
     tree = read_tree("<dds><!-- é --></dds>".encode(codec))
     assert tree.byte_order_mark is mark
-    assert len(tree.comments) == 1
     assert tree.encoding.startswith(codec[:5].upper())
 
 

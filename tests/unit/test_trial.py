@@ -27,6 +27,7 @@ from pqsec_pki.trial import (
     built,
     find,
     run_peers,
+    running,
     topic_route,
     unique_text,
 )
@@ -293,7 +294,7 @@ def test_a_peer_that_is_linked_to_another_library_is_not_run(tools, here, peer, 
 def test_a_compiler_that_takes_too_long_is_ended_with_what_it_started(
     tools, here, tmp_path, monkeypatch
 ):
-    monkeypatch.setattr("pqsec_pki.trial.building.PATIENCE", 0.5)
+    monkeypatch.setattr("pqsec_pki.trial.building.PATIENCE", 2)
     tools({"g++": f"sleep 60 & echo $! > {tmp_path}/child; wait"})
     with pytest.raises(BuildError, match="took more than"):
         built(here)
@@ -442,9 +443,10 @@ def test_it_is_over_at_once_when_a_stack_refuses(setup):
     assert done.seconds < 60
 
 
-def test_when_one_stack_refuses_the_other_may_say_so_too(setup):
-    late = "time.sleep(0.4); print('refused reader: Error'); sys.exit(3)"
-    done = setup("print('refused writer: Error'); sys.exit(3)", late)
+def test_when_one_stack_refuses_the_other_may_say_so_too(setup, monkeypatch):
+    monkeypatch.setattr(running, "_SETTLE", 60)  # it ends before, when both have ended
+    late = "spoken(); time.sleep(0.4); print('refused reader: Error'); sys.exit(3)"
+    done = setup("wait(); print('refused writer: Error'); sys.exit(3)", late)
     assert [each.refused for each in done.outcomes] == ["writer: Error", "reader: Error"]
 
 
@@ -472,9 +474,10 @@ def test_nobody_waits_for_a_stranger(setup):
 
 
 @pytest.mark.slow
-def test_a_stranger_is_given_time_after_the_others(setup):
+def test_a_stranger_is_given_time_after_the_others(setup, monkeypatch):
     """Else it would hear nothing only for want of time."""
-    late = "time.sleep(0 if 'PEER' in os.environ else 0.6); print('received x')"
+    monkeypatch.setattr(running, "_SETTLE", 5)
+    late = "if 'PEER' in os.environ: spoken()\nelse: wait(); time.sleep(0.6)\nprint('received x')"
     done = setup(LISTEN, late, strangers=["?"])
     assert done.outcomes[2].received == "x"
 

@@ -92,7 +92,7 @@ def identity_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violation]:
     why="Fast DDS 3.1.2 and later check the CA against itself, strictly. A certificate that is"
     " marked as a CA and has keyUsage must include keyCertSign.",
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
-    stacks=(Stack.FASTDDS,),
+    stacks={Stack.FASTDDS: "3.1.2, 3.6.2"},
     rows=("KU digitalSignature only",), measured="Fast DDS 3.1.2, 3.6.2",
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
@@ -119,7 +119,7 @@ def permissions_ca_without_cert_sign(file: CertificateFile) -> Iterator[Violatio
     why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer. If keyUsage is"
     " present, it must include digitalSignature.",
     fix="Create the CA with keyUsage=critical,keyCertSign,cRLSign,digitalSignature.",
-    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
+    stacks={Stack.CYCLONEDDS: "0.10.2, 0.10.5", Stack.FASTDDS: "2.9.1"},
     rows=("KU keyCertSign+cRLSign only (no digitalSignature)",), measured=_OLD,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \
@@ -144,7 +144,7 @@ def may_not_sign_documents(file: CertificateFile) -> Iterator[Violation]:
     why="Cyclone DDS 0.10 and Fast DDS 2.9 check the S/MIME purpose of the signer. If"
     " extendedKeyUsage is present, it must include emailProtection.",
     fix="Create the CA without extendedKeyUsage.",
-    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
+    stacks={Stack.CYCLONEDDS: "0.10.2, 0.10.5", Stack.FASTDDS: "2.9.1"},
     rows=("EKU serverAuth",), measured=_OLD,
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=CA -out permissions_ca.cert.pem \

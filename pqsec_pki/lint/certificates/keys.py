@@ -11,7 +11,7 @@ from pqsec_pki.credentials import KEYS
 from pqsec_pki.lint._keys import UNREADABLE, WEAK_CURVES, family_of, key_kind
 from pqsec_pki.lint.file import KeyOrListFile
 from pqsec_pki.lint.roles import CertificateRole
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, FAST, SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
 from pqsec_pki.stacks import Stack
 
@@ -43,7 +43,7 @@ _BROKEN = {
     why="Cyclone DDS supports only P-256 and RSA-2048 for identity CAs and participants, with any"
     " version of OpenSSL. For other keys it reports 'algorithm unknown (code: 125)'.",
     fix="Use ecdsa-p256, the default of pqsec, for the identity CA and the participants.",
-    stacks=(Stack.CYCLONEDDS,),
+    stacks=CYCLONE,
     rows=(
         "identity CA P-384, leaf P-256", "leaf P-384", "all RSA-3072", "all RSA-4096",
         "identity CA RSA-4096, leaf P-256",
@@ -122,7 +122,7 @@ def mistaken_for_p256(file: CertificateFile) -> Iterator[Violation]:
     why="Fast DDS reads the algorithm from the certificate's signature and supports only SHA-256"
     " with ECDSA or RSA (PKCS #1 v1.5). Its error message is empty.",
     fix="Sign certificates with SHA-256: use -sha256, and no -sigopt rsa_padding_mode:pss.",
-    stacks=(Stack.FASTDDS,),
+    stacks=FAST,
     rows=("certs signed ecdsa-with-SHA384 or SHA512", "certs signed RSASSA-PSS"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="$ openssl req -x509 -key key.pem -sha384 -subj /CN=talker -out cert.pem",

@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 
 from pqsec_pki.lint.permissions._names import parsed, repeated
-from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile
+from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
 
@@ -14,7 +15,8 @@ ERROR = Severity.ERROR
     why="If a subject has two OUs, Cyclone DDS reads only the first, and Fast DDS 3 finds no"
     " grant.",
     fix="Issue the certificate with one of them. CN alone works with every stack.",
-    rows=("two OUs",), measured=f"{CYCLONES}, Fast DDS 3.1.2, 3.6.2",
+    stacks={**CYCLONE, Stack.FASTDDS: "3.1.2, 3.6.2", Stack.ROS2: ""},
+    rows=("two OUs",),
     bad=r"""
         $ openssl req -x509 -key key.pem -subj /CN=talker/OU=Lab/OU=Robots -out cert.pem \
           -CA k/public/identity_ca.cert.pem -CAkey k/private/identity_ca.key.pem

@@ -81,7 +81,7 @@ def not_yet_valid(file: CertificateFile) -> Iterator[Violation]:
     why="Fast DDS (3.6.2) counts nanoseconds in 64 bits, which overflow in 2262. It reports 'Local"
     " identity certificate has expired' and crashes.",
     fix=f"Issue the certificate with an end in {LAST_YEAR} at the latest.",
-    stacks=(Stack.FASTDDS,),
+    stacks={Stack.FASTDDS: "3.6.2"},
     rows=("cert notAfter 9999 (or 2500)",),
     measured="Fast DDS 3.6.2",
     bad="$ openssl req -x509 -key key.pem -days 100000 -subj /CN=talker -out cert.pem",

@@ -53,9 +53,8 @@ WORDS = {"ALLOW", "DENY", "NONE", "SIGN", "ENCRYPT"} | {
     f"{word}_WITH_ORIGIN_AUTHENTICATION" for word in ("SIGN", "ENCRYPT")
 }
 NAMES = ("topic", "topic_expression", "partition")
-SCHEMA_ATTRIBUTES = {
-    "{http://www.w3.org/2001/XMLSchema-instance}noNamespaceSchemaLocation",
-}
+SCHEMA_ATTRIBUTES = {"xmlns:xsi", "xsi:noNamespaceSchemaLocation"}
+"""As they are written: Cyclone DDS knows no prefixes, and takes them in every element."""
 NEEDED: dict[str, tuple[str, ...]] = {
     "domain_rule": _DOMAIN_RULE[1:],  # PQS217 is about <domains>, PQS216 about <default>
     "topic_rule": _TOPIC_RULE,

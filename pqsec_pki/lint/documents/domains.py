@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.documents import Node
 from pqsec_pki.lint.document import Document
-from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, FAST, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
@@ -24,8 +24,8 @@ def _number(node: Node | None) -> int | None:
     why="Cyclone DDS and Fast DDS read <min>0</min> alone as domain 0 only, against the standard."
     " OpenDDS and Connext read it as all domains from 0 on.",
     fix=f"Add <max>, at most {MAX_DOMAIN}.",
+    stacks={**CYCLONE, **FAST, Stack.ROS2: ""},
     rows=("id_range with only `<min>0` on domain 16",),
-    measured=f"{CYCLONES}, Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="""
         <domains>
           <id_range><min>0</min></id_range>
@@ -40,14 +40,15 @@ def _number(node: Node | None) -> int | None:
 def open_range(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
         if node.child("min") and not node.child("max"):
-            yield document.at(node, "the range has no <max>: some stacks read only its <min>")
+            yield document.at(node, "the range has no <max>: these stacks read only its <min>")
 
 
 @lint_rule(
     "PQS232", ERROR, "a range of domains without a start",
-    why="Cyclone DDS does not read it as all domains up to <max>.",
+    why="Permissions with it crash Cyclone DDS, also that of peers. Cyclone DDS refuses governance"
+    " with it.",
     fix="Add <min>0</min>.",
-    stacks=(_CYCLONE,), rows=("id_range with only `<max>`",), measured=CYCLONES,
+    stacks=CYCLONE, rows=("id_range with only `<max>`",),
     bad="""
         <domains>
           <id_range><max>9</max></id_range>
@@ -62,14 +63,14 @@ def open_range(document: Document) -> Iterator[Violation]:
 def range_without_start(document: Document) -> Iterator[Violation]:
     for node in document.all("id_range"):
         if node.child("max") and not node.child("min"):
-            yield document.at(node, "the range has no <min>: Cyclone DDS finds no domain in it")
+            yield document.at(node, "the range has no <min>, which crashes Cyclone DDS")
 
 
 @lint_rule(
     "PQS233", ERROR, f"a domain above {MAX_DOMAIN}",
     why="Cyclone DDS refuses the whole document, because RTPS has no ports for such a domain.",
     fix=f"Use domains from 0 to {MAX_DOMAIN}.",
-    stacks=(_CYCLONE,), rows=("domain id/max 231, 232",), measured=CYCLONES,
+    stacks=CYCLONE, rows=("domain id/max 231, 232",),
     bad="<domains><id>231</id></domains>",
     good="<domains><id>230</id></domains>",
 )  # fmt: skip

@@ -3,9 +3,9 @@
 import re
 from collections.abc import Iterator
 
-from pqsec_pki.access import opendds_reads_beyond
+from pqsec_pki.access import follows_locale, opendds_reads_beyond
 from pqsec_pki.lint.document import Document
-from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
@@ -40,7 +40,8 @@ def braces(document: Document) -> Iterator[Violation]:
     "PQS236", ERROR, "[^...] in a pattern",
     why="Cyclone DDS and OpenDDS do not read [^a] as 'any character except a'. Fast DDS does.",
     fix="Write [!a], which all stacks read in this way.",
-    stacks=(_CYCLONE, _OPENDDS), rows=("`[^A-C]`",), measured=f"{CYCLONES}; OpenDDS by source",
+    stacks={**CYCLONE, Stack.OPENDDS: ""},
+    rows=("`[^A-C]`",), measured=f"{CYCLONES}; OpenDDS by source",
     bad="<topic>rt/[^a]*</topic>",
     good="<topic>rt/[!a]*</topic>",
 )  # fmt: skip
@@ -56,7 +57,8 @@ def caret(document: Document) -> Iterator[Violation]:
     " name of 200 letters, four stars took 0.2 s, five took 10 s, and six take minutes. Any"
     " participant of the domain can choose such a name.",
     fix="Replace the stars with names, in several topics if necessary.",
-    stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2; the C library, and so Fast DDS, is quick",
+    stacks={Stack.CYCLONEDDS: "0.10.2"},
+    measured="Cyclone DDS 0.10.2; the C library, and so Fast DDS, is quick",
     bad="<topic>*a*b*c*d*e*</topic>",
     good="<topic>a*b*e</topic>",
 )  # fmt: skip
@@ -90,7 +92,7 @@ def backslash(document: Document) -> Iterator[Violation]:
     " [0-9]-f is one bracket that ends at f. Classes such as [[:digit:]] do not exist, and a"
     " bracket that is not closed matches nothing.",
     fix="List the characters, or write ranges: [0-9a-f].",
-    stacks=(_CYCLONE, _OPENDDS), measured="Cyclone DDS 0.10.2",
+    stacks={Stack.CYCLONEDDS: "0.10.2", Stack.OPENDDS: ""}, measured="Cyclone DDS 0.10.2",
     bad="<topic>rt/[a-]</topic>",
     good="<topic>rt/[a]</topic>",
 )  # fmt: skip
@@ -105,7 +107,7 @@ def odd_bracket(document: Document) -> Iterator[Violation]:
     why="Cyclone DDS also matches the ] that ends a bracket: [ab] matches ] too. This matters only"
     " for names with a ], which ROS 2 and IDL do not have.",
     fix="Nothing needs to be done, or write a pattern for each name.",
-    stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2", only_when_asked=True,
+    stacks={Stack.CYCLONEDDS: "0.10.2"}, measured="Cyclone DDS 0.10.2", only_when_asked=True,
     bad="<topic>rt/arm[12]</topic>",
     good="""
         <topic>rt/arm1</topic>
@@ -137,11 +139,30 @@ def star_inside(document: Document) -> Iterator[Violation]:
 
 
 @lint_rule(
+    "PQS244", WARNING, "a pattern that depends on the locale",
+    why="Fast DDS calls fnmatch, which follows the locale of the process. In C, as in a C++ node, ?"
+    " and [!a] match an octet. In C.UTF-8, as in a Python node, they also match a character such as"
+    " é, of two octets. So participants of one domain may decide differently.",
+    fix="List the characters in ASCII, as [0-9a-z], or write a star. `pqsec explain --as"
+    " fastdds/C.UTF-8` shows the decision of Python nodes.",
+    stacks=(Stack.FASTDDS,), measured="Fast DDS 2.9.1; glibc 2.36, 2.41",
+    bad="<topic>rt/arm?</topic>",
+    good="<topic>rt/arm[0-9]</topic>",
+)  # fmt: skip
+def of_locale(document: Document) -> Iterator[Violation]:
+    for node in document.all(*_PATTERNS):
+        if follows_locale(node.value):
+            yield document.at(
+                node, f"{node.value[:60]!a}: in a UTF-8 locale it matches other names than in C"
+            )
+
+
+@lint_rule(
     "PQS269", WARNING, "a topic with the name of a builtin topic",
     why="Cyclone DDS lets every participant of the domain use its builtin topics, such as"
     " DCPSTopic. Governance and permissions have no effect on them.",
     fix="Give the topic another name.",
-    stacks=(Stack.CYCLONEDDS,), measured="Cyclone DDS 0.10.2",
+    stacks={Stack.CYCLONEDDS: "0.10.2"}, measured="Cyclone DDS 0.10.2",
     bad="<topic>DCPSTopic</topic>",
     good="<topic>rt/chatter</topic>",
 )  # fmt: skip
@@ -158,7 +179,7 @@ def builtin_name(document: Document) -> Iterator[Violation]:
     why="OpenDDS reads memory after the end of the pattern, so its answer is undefined. It may"
     " allow what is not granted, or crash.",
     fix="Close the bracket, or list the topics.",
-    stacks=(_OPENDDS,), only_when_asked=True,
+    stacks={Stack.OPENDDS: "3.13.3"}, only_when_asked=True,
     measured="ACE 6.2.1, which OpenDDS 3.13.3 calls, under AddressSanitizer",
     bad="<topic>rt/[ab</topic>",
     good="<topic>rt/[ab]</topic>",

@@ -1,9 +1,12 @@
 """Rules about the form of a whole document: stacks do not use the schema."""
 
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import chain
 from typing import Any
 
-from pqsec_pki.lint.document import Document, GovernanceFile
+from pqsec_pki.lint.document import Document
+from pqsec_pki.lint.documents._extensions import all_but
 from pqsec_pki.lint.documents.xml_elements import (
     newer_element,
     out_of_order,
@@ -21,8 +24,17 @@ from pqsec_pki.lint.documents.xml_values import (
     spaces,
 )
 from pqsec_pki.lint.permissions.times import unreadable_time
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
-from pqsec_pki.problems import Code
+from pqsec_pki.lint.rule import (
+    CYCLONE,
+    FAST,
+    SIX_STACKS,
+    Affected,
+    Severity,
+    Violation,
+    lint_rule,
+    stacks_text,
+)
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
@@ -59,18 +71,32 @@ def breaks_schema(document: Document) -> Iterator[Violation]:
         return
     reported = {found.line for check in _EXPLAINED for found in check(document)}
     misplaced = any(out_of_order(document)) or any(missing_element(document))
-    for problem in document.problems:
+    for problem, taken in _schema_problems(document):
         is_reported = misplaced and problem.code is Code.ELEMENT_MISPLACED
         if not is_reported and document.line(problem.line) not in reported:
             element = f"<{problem.element}>: " if problem.element else ""
-            yield document.at(problem.line, f"{element}{problem.message}")
+            found = document.at(problem.line, f"{element}{problem.message}")
+            yield replace(found, stacks=all_but(taken))
+
+
+def _schema_problems(document: Document) -> Iterator[tuple[Problem, Affected]]:
+    """Each difference from the schema, with the stacks that take it.
+
+    After an element out of its place the schema compares no more; a stack that takes it goes on.
+    """
+    beyond = document.text.problems_beyond if document.text else {}
+    for problem in document.problems:
+        yield problem, {stack: "" for stack, left in beyond.items() if problem not in left}
+    for problem in dict.fromkeys(chain.from_iterable(beyond.values())):
+        if problem not in document.problems:
+            yield problem, {}
 
 
 @lint_rule(
     "PQS203", ERROR, "a file is neither governance nor permissions",
     why="The root element must be <dds> and contain <domain_access_rules> or <permissions>, in"
-    " lower case and without a namespace. Cyclone DDS refuses a default xmlns; Fast DDS refuses"
-    " upper case.",
+    " lower case and without a namespace. Cyclone DDS refuses a default xmlns, which Fast DDS"
+    " ignores; Fast DDS refuses upper case.",
     fix="Name the elements as in the standard, and remove xmlns=... from the root element.",
     rows=("default xmlns", "upper-case tags"), measured=SIX_STACKS,
     bad="""
@@ -90,7 +116,10 @@ def neither(document: Document) -> Iterator[Violation]:
     root = document.root
     namespace, _, name = root.tag.rpartition("}")
     if namespace and name == "dds":
-        yield document.at(root, "the elements must not be in a namespace")
+        found = document.at(root, "the elements must not be in a namespace")
+        yield replace(found, stacks=all_but(FAST))
+        text = "the elements are in a namespace: Fast DDS ignores it, and nothing was checked"
+        yield replace(found, message=text, stacks=FAST, severity=WARNING)
     elif root.tag != "dds" and root.tag.lower() == "dds":
         yield document.at(root, f"<{root.tag}> must be <dds>: all tags are in lower case")
     elif root.tag != "dds":
@@ -103,7 +132,7 @@ def neither(document: Document) -> Iterator[Violation]:
     "PQS204", ERROR, "the XML starts with a byte order mark",
     why="Cyclone DDS refuses a document with a byte order mark.",
     fix="Save it as UTF-8 without BOM.",
-    stacks=(_CYCLONE,), rows=("UTF-8 BOM in XML",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
+    stacks=CYCLONE, rows=("UTF-8 BOM in XML",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
     bad=r"$ printf '\xef\xbb\xbf' | cat - k/enclaves/governance.xml > governance.xml",
     good="$ cp k/enclaves/governance.xml governance.xml",
 )  # fmt: skip
@@ -114,41 +143,16 @@ def byte_order_mark(document: Document) -> Iterator[Violation]:
 
 @lint_rule(
     "PQS205", WARNING, "the XML is not in UTF-8",
-    why="Cyclone DDS and Fast DDS search the bytes for ASCII tags. Other encodings were not"
-    " tested.",
+    why="Stacks do not look at the declaration: they read the octets as they are. A signed document"
+    " with letters that are other octets in UTF-8 says something else to them: pqsec refuses it.",
     fix='Save it as UTF-8, and declare it: <?xml version="1.0" encoding="UTF-8"?>.',
-    measured="read in source, not run",
+    measured="Cyclone DDS 0.10.2, 11.0.1; Fast DDS 2.9.1",
     bad="$ sed s/UTF-8/ISO-8859-1/ k/enclaves/governance.xml > governance.xml",
     good="$ cp k/enclaves/governance.xml governance.xml",
 )  # fmt: skip
 def not_utf8(document: Document) -> Iterator[Violation]:
     if document.tree and document.tree.encoding not in {"UTF-8", "UTF8", "US-ASCII", "ASCII"}:
-        yield document.at(1, f"is in {document.tree.encoding[:20]}; stacks require UTF-8")
-
-
-@lint_rule(
-    "PQS207", ERROR, "a comment directly before </dds>",
-    why="Fast DDS reads the comment as a second set of rules and refuses the governance.",
-    fix="Move the comment into <domain_access_rules>, or above the root element.",
-    stacks=(_FAST,), rows=("comment directly before `</dds>` in governance",),
-    measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
-    bad="""
-        <dds>
-          ...
-          <!-- end -->
-        </dds>
-    """,
-    good="""
-        <dds>
-          <!-- start -->
-          ...
-        </dds>
-    """,
-)  # fmt: skip
-def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
-    for comment in document.tree.comments if document.tree else ():
-        if comment.inside == "dds" and comment.is_last and comment.after:
-            yield document.at(comment.line, "Fast DDS refuses a comment directly before </dds>")
+        yield document.at(1, f"is in {document.tree.encoding[:20]}; stacks read UTF-8")
 
 
 @lint_rule(
@@ -161,10 +165,14 @@ def comment_at_the_end(document: GovernanceFile) -> Iterator[Violation]:
     good="<default>DENY</default>",
 )  # fmt: skip
 def neither_kind(document: Document) -> Iterator[Violation]:
-    if document.problems and type(document) is not Document:
-        yield document.at(
-            document.root, "does not match its schema, so its meaning was not checked"
-        )
+    if not document.problems or type(document) is Document:
+        return
+    taken = document.taken_by
+    found = document.at(document.root, "does not match its schema, so its meaning was not checked")
+    yield replace(found, stacks=all_but(taken))
+    if taken:
+        text = f"has elements that only {stacks_text(taken)} takes, so its meaning was not checked"
+        yield replace(found, message=text, stacks=taken, severity=Severity.INFO)
 
 
 _EXPLAINED: tuple[Callable[[Any], Iterable[Violation]], ...] = (

@@ -1,10 +1,12 @@
 """Rules about the values of elements in governance and permissions, and missing elements."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
 from pqsec_pki.lint.documents._elements import BOOLEANS, KINDS, NAMES, NEEDED, WORDS
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
+from pqsec_pki.lint.documents._extensions import all_but, replacements
+from pqsec_pki.lint.rule import FAST, SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
@@ -31,7 +33,7 @@ def odd_boolean(document: Document) -> Iterator[Violation]:
     why="Fast DDS does not remove the spaces: it refuses the kind or boolean, and the topic never"
     " matches.",
     fix="Write the value directly between the tags, on one line.",
-    stacks=(_FAST,),
+    stacks=FAST,
     rows=("` true `, ` ENCRYPT `, spaces around topic",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS trims",
     bad="<topic> rt/chatter </topic>",
@@ -79,7 +81,7 @@ def payload_origin(document: GovernanceFile) -> Iterator[Violation]:
     why="Fast DDS refuses the document. OpenDDS reads the attribute without a check whether it"
     " exists (source).",
     fix='Add a name: <grant name="/talker">.',
-    stacks=(_FAST, _OPENDDS),
+    stacks={**FAST, Stack.OPENDDS: ""},
     rows=("no grant name",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS takes it",
     bad="""
         <grant>
@@ -102,7 +104,7 @@ def nameless_grant(document: PermissionsFile) -> Iterator[Violation]:
     "PQS216", ERROR, "a grant without default",
     why="Cyclone DDS reads it as DENY; Fast DDS refuses the document.",
     fix="End each grant with <default>DENY</default>.",
-    stacks=(_FAST,),
+    stacks=FAST,
     rows=("`<default>` missing or lower case",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2; Cyclone DDS by source",
     bad="<!-- no <default> -->",
@@ -178,4 +180,5 @@ def missing_element(document: Document) -> Iterator[Violation]:
         there = {child.tag for child in node.children}
         for tag in NEEDED[node.tag]:
             if tag not in there:
-                yield document.at(node, f"<{node.tag}> lacks <{tag}>")
+                found = document.at(node, f"<{node.tag}> lacks <{tag}>")
+                yield replace(found, stacks=all_but(replacements(node, tag)))

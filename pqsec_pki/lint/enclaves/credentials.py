@@ -9,7 +9,7 @@ from pqsec_pki.certificates import Certificate, common_name
 from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, ENCLAVES, IDENTITY_CA, KEY
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import is_signed_by, key_of
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import CertificateFile, EnclaveFolder
 from pqsec_pki.stacks import Stack
 
@@ -143,7 +143,7 @@ def names_another_key(enclave: EnclaveFolder) -> Iterator[Violation]:
     why="Fast DDS finds the intermediate CA after the root in the identity CA's file. Cyclone DDS"
     " and OpenDDS read only the first certificate of the file.",
     fix="Issue the participant with a self-signed CA.",
-    stacks=(Stack.CYCLONEDDS, Stack.OPENDDS),
+    stacks={**CYCLONE, Stack.OPENDDS: ""},
     rows=("identity_ca=root+int, cert=leaf",), measured=SIX_STACKS + "; OpenDDS by source",
     bad=r"""
         $ cp -rL k/enclaves/talker robot

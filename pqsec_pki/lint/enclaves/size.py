@@ -98,7 +98,7 @@ def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
     "PQS502", Severity.ERROR, "the handshake does not fit into a datagram",
     why="Fast DDS (2.9.1, 3.1.2) cannot send more than 64 KB. Fast DDS 3.6.2 and Cyclone DDS can.",
     fix=f"{_SMALLER}, or a smaller certificate.",
-    stacks=(Stack.FASTDDS,),
+    stacks={Stack.FASTDDS: "2.9.1, 3.1.2"},
     rows=("leaf padded +48…128 KB", "permissions document 512 KB"),
     measured="Fast DDS 2.9.1, 3.1.2",
     bad="$ pqsec -k k issue --force /talker $(printf -- '--publish rt/robot/sensor%s ' {1..1500})",

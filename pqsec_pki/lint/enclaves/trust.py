@@ -23,8 +23,10 @@ from pqsec_pki.credentials import (
     verify_logged,
 )
 from pqsec_pki.errors import PqsecError, located, problems_of
+from pqsec_pki.lint.document import Document
+from pqsec_pki.lint.documents._extensions import all_but
 from pqsec_pki.lint.file import File
-from pqsec_pki.lint.rule import Finding, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import Affected, Finding, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder, Inventory
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.transparency import LedgerProof
@@ -90,7 +92,15 @@ def cannot_be_trusted(enclave: EnclaveFolder) -> Iterator[Violation]:
         files = (file for file in (*FILES, PROOF) if problem.subject == f"{enclave.name}: {file}")
         path = next((enclave.folder / file for file in files), None)
         text = str(replace(problem, subject="") if path else problem)
-        yield Violation(text, path=path, code=problem.code)
+        yield Violation(text, path=path, code=problem.code, stacks=_stacks(enclave, path, problem))
+
+
+def _stacks(enclave: EnclaveFolder, path: Path | None, problem: Problem) -> Affected:
+    """The stacks for which it holds: all, unless one takes a document that pqsec cannot read."""
+    found = enclave.subjects.get(path.name) if path else None
+    if problem.code is Code.DOCUMENT_INVALID and isinstance(found, Document):
+        return all_but(found.taken_by)
+    return {}
 
 
 def without_repetitions(findings: Iterable[Finding], inventory: Inventory) -> Iterator[Finding]:
@@ -115,7 +125,7 @@ def without_repetitions(findings: Iterable[Finding], inventory: Inventory) -> It
 
 
 def _reports(finding: Finding, code: Code) -> bool:
-    bad = finding.rule.severity is Severity.ERROR or finding.rule.id == _REVOKED_IN_KEYSTORE
+    bad = finding.severity is Severity.ERROR or finding.rule.id == _REVOKED_IN_KEYSTORE
     return bad and finding.rule.id in _REPORTED_BY.get(code, ()) and finding.code in {None, code}
 
 

@@ -8,9 +8,8 @@ from pqsec_pki.documents import Grant
 from pqsec_pki.lint.certificates.validity import is_near
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.enclaves.grants import own_grants
-from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import FAST, SIX_STACKS, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import EnclaveFolder
-from pqsec_pki.stacks import Stack
 
 WEST = timedelta(hours=12)
 """The furthest that local time is behind UTC."""
@@ -65,7 +64,7 @@ def not_yet(document: PermissionsFile) -> Iterator[Violation]:
     why="Fast DDS ignores the zone and reads the time as local time. West of Greenwich, a grant"
     " that began an hour ago is not valid yet.",
     fix="Set not_before one day back, as pqsec does.",
-    stacks=(Stack.FASTDDS,),
+    stacks=FAST,
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",), measured=_LOCAL,
     bad="<not_before>2026-05-31T23:00:00Z</not_before>",
     good="<not_before>2026-05-30T23:00:00Z</not_before>",
@@ -82,7 +81,7 @@ def too_new_for_time_zones(document: PermissionsFile) -> Iterator[Violation]:
     why="Fast DDS ignores the zone and reads the time as local time. West of Greenwich, it accepts"
     " a grant for hours after its end.",
     fix="Set not_after one day earlier than needed.",
-    stacks=(Stack.FASTDDS,),
+    stacks=FAST,
     rows=("TZ=America/Los_Angeles, not_after expired 1 h ago Z",), measured=_LOCAL,
     bad="<not_after>2026-05-31T23:00:00Z</not_after>",
     good="<not_after>2026-05-30T23:00:00Z</not_after>",

@@ -51,7 +51,8 @@ def unauthenticated(document: GovernanceFile) -> Iterator[Violation]:
     why="An unauthenticated participant cannot read protected RTPS messages. The two settings"
     " exclude each other, and Fast DDS 3 refuses the governance.",
     fix="Set rtps_protection_kind to NONE, or allow_unauthenticated_participants to false.",
-    stacks=(Stack.FASTDDS,), rows=("allow_unauthenticated=true with rtps_protection≠NONE",),
+    stacks={Stack.FASTDDS: "3.1.2, 3.6.2"},
+    rows=("allow_unauthenticated=true with rtps_protection≠NONE",),
     measured="Fast DDS 3.1.2 and 3.6.2 refuse, 2.9.1 and Cyclone DDS take it",
     bad="""
         <allow_unauthenticated_participants>true</allow_unauthenticated_participants>

@@ -110,7 +110,7 @@ def no_rule_for_the_rest(document: GovernanceFile) -> Iterator[Violation]:
     " other stacks accept this governance, and pqsec writes it.",
     fix="For OpenDDS, add a first topic rule for a name that is not used, with"
     " enable_read_access_control false. It opens no other topic.",
-    stacks=(Stack.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    stacks={Stack.OPENDDS: "3.34"}, measured="read in OpenDDS 3.34's source", only_when_asked=True,
     bad="""
         <topic_rule>
           <topic_expression>*</topic_expression>
@@ -147,7 +147,7 @@ def no_participant_in_opendds(document: GovernanceFile) -> Iterator[Violation]:
     " without access control opens topics that an earlier rule protects.",
     fix="For OpenDDS, change the expression of the open rule so that it does not match the"
     " protected topics.",
-    stacks=(Stack.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    stacks={Stack.OPENDDS: "3.34"}, measured="read in OpenDDS 3.34's source", only_when_asked=True,
     bad="""
         <topic_rule>
           <topic_expression>rt/cmd</topic_expression>

@@ -5,7 +5,7 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki._times import said
-from pqsec_pki.certificates import Certificate
+from pqsec_pki.certificates import Certificate, canonical_name
 from pqsec_pki.credentials import (
     ENCLAVES,
     GOVERNANCE,
@@ -145,10 +145,10 @@ def shared_key(inventory: Inventory) -> Iterator[Violation]:
     good="$ openssl req -x509 -key key.pem -subj /CN=Lab -out two.cert.pem",
 )  # fmt: skip
 def same_serial(inventory: Inventory) -> Iterator[Violation]:
-    first: dict[tuple[bytes, int], CertificateFile] = {}
+    first: dict[tuple[Hashable, int], CertificateFile] = {}
     for file in inventory.certificates:
         if certificate := file.first:
-            number = (certificate.issuer_der, certificate.serial_number)
+            number = (canonical_name(certificate.issuer_der), certificate.serial_number)
             other = first.setdefault(number, file)
             if other.first and other.first.der != certificate.der:
                 yield Violation(f"has the same serial number as {other.path}", path=file.path)

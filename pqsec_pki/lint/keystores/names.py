@@ -9,7 +9,7 @@ from pqsec_pki.credentials import CERTIFICATE
 from pqsec_pki.documents import same_subject
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import CUTS, parsed
-from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, CYCLONES, Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.stacks import Stack
 
@@ -37,7 +37,7 @@ class _NamePieces:
     " them unencrypted.",
     fix="Rename one of the two, so that each path has a part that the other does not have:"
     " /robot/driver and /robot/admin.",
-    stacks=(_CYCLONE,),
+    stacks=CYCLONE,
     rows=("**security**: identity CN=/robot presenting a document for CN=/robot/admin",
           "identity CN=/x/a, grant CN=/a/x", "superset (+`,L=Madrid`)"),
     measured=CYCLONES,

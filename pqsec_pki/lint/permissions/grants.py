@@ -6,7 +6,7 @@ from pqsec_pki.documents import DefaultAction, Grant
 from pqsec_pki.lint.document import ACTIONS, PermissionsFile
 from pqsec_pki.lint.documents._shadows import covers_all
 from pqsec_pki.lint.permissions._names import parsed, shown
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, FAST, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
@@ -35,7 +35,7 @@ def default_allow(document: PermissionsFile) -> Iterator[Violation]:
     why="Fast DDS lets a participant join only if an allow_rule names the domain. The default does"
     " not matter.",
     fix="Add an allow_rule for the domain.",
-    stacks=(_FAST,),
+    stacks=FAST,
     rows=("`<default>ALLOW` and no rule", "no rule for the domain, default ALLOW"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="""
@@ -81,7 +81,8 @@ def allow_all(document: PermissionsFile) -> Iterator[Violation]:
     why="Cyclone DDS and OpenDDS never check <relay>. Fast DDS checks it only for a peer, as a"
     " right to subscribe.",
     fix="Do not rely on <relay>.",
-    stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
+    stacks={**CYCLONE, **FAST, Stack.OPENDDS: ""},
+    rows=("`<relay>`, `<data_tags>` present (ignored)",),
     measured="all six stacks; OpenDDS by source",
     bad="""
         <allow_rule>
@@ -106,7 +107,8 @@ def relay(document: PermissionsFile) -> Iterator[Violation]:
     "PQS260", WARNING, "data tags, which stacks ignore",
     why="No stack checks data tags: what they should limit is allowed with any tag.",
     fix="Use partitions or other topics.",
-    stacks=(_CYCLONE, _FAST, _OPENDDS), rows=("`<relay>`, `<data_tags>` present (ignored)",),
+    stacks={**CYCLONE, **FAST, Stack.OPENDDS: ""},
+    rows=("`<relay>`, `<data_tags>` present (ignored)",),
     measured="all six stacks; OpenDDS by source",
     bad="""
         <publish>

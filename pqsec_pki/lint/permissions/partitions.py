@@ -6,7 +6,7 @@ from itertools import pairwise
 
 from pqsec_pki.lint.document import ACTIONS, PermissionsFile
 from pqsec_pki.lint.permissions._names import criteria_of
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import FAST, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
@@ -19,7 +19,7 @@ _INNER_WILDCARD = re.compile(r"[?\[\\]|\*.")
     why="Fast DDS combines the criteria of a rule: it allows a topic of one in the partitions of"
     " another. Cyclone DDS and the standard keep them separate.",
     fix="Write one allow_rule for each.",
-    stacks=(_FAST,), rows=("topic in one `<publish>`, partition in another",),
+    stacks=FAST, rows=("topic in one `<publish>`, partition in another",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="""
         <publish>
@@ -150,7 +150,7 @@ def _some(words: tuple[str, ...]) -> str:
     why="In OpenDDS, an allow_rule with partitions also applies to an endpoint without a"
     " partition.",
     fix="Do not use partitions to separate participants with OpenDDS; use other topics.",
-    stacks=(Stack.OPENDDS,), measured="read in OpenDDS 3.34's source", only_when_asked=True,
+    stacks={Stack.OPENDDS: "3.34"}, measured="read in OpenDDS 3.34's source", only_when_asked=True,
     rows=("allow partition P, endpoint in none",),
     bad="""
         <publish>
@@ -179,13 +179,13 @@ def partitions_not_asked(document: PermissionsFile) -> Iterator[Violation]:
     " matches the name floor*, and an endpoint in floor* receives what is sent in floor12. The"
     " plugin of pqsec and `pqsec explain` check everything that the wildcards can match.",
     fix="Write full names, or a prefix with one * at the end: these work in all stacks.",
-    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS, Stack.OPENDDS),
+    stacks={Stack.CYCLONEDDS: "0.10.2", Stack.FASTDDS: "2.9.1", Stack.OPENDDS: ""},
     measured="Cyclone DDS 0.10.2, with running participants; the access control of Fast DDS 2.9.1;"
     " OpenDDS by source",
     bad="""
         <publish>
           <topics><topic>rt/chatter</topic></topics>
-          <partitions><partition>floor?</partition></partitions>
+          <partitions><partition>floor[12]</partition></partitions>
         </publish>
     """,
     good="""

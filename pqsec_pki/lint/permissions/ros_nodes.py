@@ -19,7 +19,7 @@ _TYPE_DESCRIPTION = re.compile(r"rr/(?P<node>.+)/get_parametersReply")
     why="Since Iron, every node offers this service. Without permission for it, the node fails in"
     " its constructor. SROS2's own sample policy lacks it.",
     fix="Allow its topics, or create the permissions with `pqsec permissions import --complete`.",
-    stacks=(Stack.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
+    stacks={Stack.ROS2: "Jazzy"}, measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
     bad="""
         <topics>
@@ -59,7 +59,7 @@ def no_type_description(document: PermissionsFile) -> Iterator[Violation]:
     why="Every ROS 2 participant publishes and subscribes to this topic, and cannot start without"
     " it.",
     fix=f"Allow the participant to publish and to subscribe to {ros.DISCOVERY}.",
-    stacks=(Stack.ROS2,), measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
+    stacks={Stack.ROS2: "Jazzy"}, measured="rclpy 7.1 (Jazzy) on Cyclone DDS 0.10.2",
     only_when_asked=True,
     bad="<publish><topics><topic>rt/chatter</topic></topics></publish>",
     good="""

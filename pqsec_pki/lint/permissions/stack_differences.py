@@ -68,7 +68,7 @@ def _entries(grant: Grant) -> list[_Entry]:
     " rule that names the topic decides, for publishing and for subscribing. A participant that may"
     " not publish a topic cannot subscribe to it either. Since 11.0 it can.",
     fix="Move the allow_rule before the deny_rule.",
-    stacks=(Stack.CYCLONEDDS,), measured=f"{_CYCLONE}; 11.0.1 allows it",
+    stacks={Stack.CYCLONEDDS: "0.10.2"}, measured=f"{_CYCLONE}; 11.0.1 allows it",
     bad="""
         <deny_rule>
           <domains><id>0</id></domains>
@@ -140,7 +140,7 @@ def _is_covered(entry: _Entry, patterns: Patterns[PermissionRule]) -> bool:
     " domain is denied for all.",
     fix="If a participant joins several domains, give it separate permissions for each domain, each"
     " in its own folder.",
-    stacks=(Stack.FASTDDS,), measured="Fast DDS 2.9.1",
+    stacks={Stack.FASTDDS: "2.9.1"}, measured="Fast DDS 2.9.1",
     bad="""
         <deny_rule>
           <domains><id>1</id></domains>
@@ -178,7 +178,7 @@ def denies_elsewhere(document: PermissionsFile) -> Iterator[Violation]:
     " 11.0, if the other action is denied too.",
     fix="Write default DENY and allow only what is needed. Or name the partitions in the deny_rule"
     " too; <partition>*</partition> means all.",
-    stacks=(Stack.CYCLONEDDS,), measured=f"{_CYCLONE}, 11.0.1",
+    stacks={Stack.CYCLONEDDS: "0.10.2, 11.0.1"}, measured=f"{_CYCLONE}, 11.0.1",
     bad="""
         <allow_rule>
           <domains><id>0</id></domains>

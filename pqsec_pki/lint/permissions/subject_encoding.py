@@ -7,7 +7,7 @@ from pqsec_pki.certificates import MAX_COMMON_NAME
 from pqsec_pki.documents import Grant, Subject
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import named, shown
-from pqsec_pki.lint.rule import CYCLONES, Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, CYCLONES, FAST, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
@@ -50,7 +50,7 @@ def unknown_word(document: PermissionsFile) -> Iterator[Violation]:
     "PQS418", ERROR, "non-ASCII letters in a subject_name, not escaped",
     why=r"Cyclone DDS and OpenDDS require \C3\A9 for é, and otherwise find no grant.",
     fix="Add a second grant with that spelling, or use only ASCII.",
-    stacks=(_CYCLONE, _OPENDDS),
+    stacks={**CYCLONE, Stack.OPENDDS: "3.34"},
     rows=("UTF-8 value written raw", "… both as two grants"),
     measured=f"{CYCLONES}; OpenDDS 3.34, its access control run",
     bad="<subject_name>CN=café</subject_name>",
@@ -123,7 +123,7 @@ def odd_characters(document: PermissionsFile) -> Iterator[Violation]:
     "PQS425", ERROR, "non-ASCII letters in a subject_name, escaped",
     why=r"Fast DDS requires é itself, not \C3\A9, and otherwise finds no grant.",
     fix="Add a second grant with the letters themselves, or use only ASCII.",
-    stacks=(_FAST,), rows=(r"UTF-8 value written `\C3\A9`", "… both as two grants"),
+    stacks=FAST, rows=(r"UTF-8 value written `\C3\A9`", "… both as two grants"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad=r"<subject_name>CN=caf\C3\A9</subject_name>",
     good="<subject_name>CN=coffee</subject_name>",

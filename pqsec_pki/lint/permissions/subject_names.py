@@ -5,7 +5,7 @@ from collections.abc import Iterator
 
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import CUTS, named, parsed, repeated, shown
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, FAST, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR = Severity.ERROR
@@ -33,7 +33,7 @@ def invalid_name(document: PermissionsFile) -> Iterator[Violation]:
     "PQS412", ERROR, "spaces or line ends around a subject_name",
     why="Fast DDS includes them in the comparison and finds no grant.",
     fix="Write it directly between the tags, on one line.",
-    stacks=(_FAST,), rows=("newlines/indent around the text",),
+    stacks=FAST, rows=("newlines/indent around the text",),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="""
         <subject_name>
@@ -53,7 +53,7 @@ def padded_name(document: PermissionsFile) -> Iterator[Violation]:
     why="Cyclone DDS 0.10 refuses CN=x, O=Lab and C = ES. openssl prints names in this form by"
     " default.",
     fix="Write CN=x,O=Lab,C=ES.",
-    stacks=(_CYCLONE,),
+    stacks={Stack.CYCLONEDDS: "0.10.2, 0.10.5"},
     rows=("`CN=x, O=Lab, C=ES`", "`C = ES, O = Lab, CN = x` (openssl default print)"),
     measured="Cyclone DDS 0.10.2, 0.10.5",
     bad="<subject_name>CN=/talker, O=Lab</subject_name>",
@@ -69,7 +69,7 @@ def spaced_name(document: PermissionsFile) -> Iterator[Violation]:
     "PQS414", ERROR, "a subject_name written with slashes",
     why="Fast DDS does not accept /C=ES/O=Lab/CN=x.",
     fix="Write CN=x,O=Lab,C=ES.",
-    stacks=(_FAST,), rows=("`/C=ES/O=Lab/CN=x`",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
+    stacks=FAST, rows=("`/C=ES/O=Lab/CN=x`",), measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",
     bad="<subject_name>/CN=talker</subject_name>",
     good="<subject_name>CN=talker</subject_name>",
 )  # fmt: skip
@@ -84,7 +84,7 @@ def slashed_name(document: PermissionsFile) -> Iterator[Violation]:
     why="Fast DDS 2.9.1 requires the order of RFC 2253: the last part of the certificate's subject"
     " first.",
     fix="Reverse the order (CN first), or add a second grant with that order.",
-    stacks=(_FAST,), rows=("`C=ES,O=Lab,CN=x` (DER order; what OpenDDS needs)",
+    stacks={Stack.FASTDDS: "2.9.1"}, rows=("`C=ES,O=Lab,CN=x` (DER order; what OpenDDS needs)",
                            "two grants, one per order"),
     measured="Fast DDS 2.9.1",
     bad="<subject_name>C=ES,O=Lab,CN=/talker</subject_name>",
@@ -117,7 +117,8 @@ def reversed_order(document: PermissionsFile) -> Iterator[Violation]:
     why="If a subject has two OUs, Cyclone DDS reads only the first, and Fast DDS 3 finds no"
     " grant.",
     fix="Issue the certificate with one of them.",
-    rows=("two OUs",), measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1, Fast DDS 3.1.2, 3.6.2",
+    stacks={**CYCLONE, Stack.FASTDDS: "3.1.2, 3.6.2", Stack.ROS2: ""},
+    rows=("two OUs",),
     bad="<subject_name>CN=/talker,OU=Lab,OU=Robots</subject_name>",
     good="<subject_name>CN=/talker,OU=Lab</subject_name>",
 )  # fmt: skip
@@ -146,7 +147,7 @@ def joined_parts(document: PermissionsFile) -> Iterator[Violation]:
     why="Cyclone DDS splits names at each , / and |. It finds no grant for a name with an empty"
     f" piece, such as CN=/a//b, or with more than {MAX_PIECES} pieces.",
     fix="Choose a name without double slashes, or with a shorter path.",
-    stacks=(_CYCLONE,), measured="Cyclone DDS 0.10.2",
+    stacks={Stack.CYCLONEDDS: "0.10.2"}, measured="Cyclone DDS 0.10.2",
     bad="<subject_name>CN=/fleet//robot1</subject_name>",
     good="<subject_name>CN=/fleet/robot1</subject_name>",
 )  # fmt: skip

@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 
 from pqsec_pki.lint.document import PermissionsFile
 from pqsec_pki.lint.permissions._names import shown
-from pqsec_pki.lint.rule import Severity, Violation, lint_rule
+from pqsec_pki.lint.rule import CYCLONE, FAST, Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, INFO = Severity
@@ -45,7 +45,7 @@ def never_valid(document: PermissionsFile) -> Iterator[Violation]:
     why="Cyclone DDS counts nanoseconds in 64 bits. It reads a later time as a time in the past and"
     " refuses the participant.",
     fix=f"Set the end before {LAST_YEAR + 1}; one or two years ahead is better.",
-    stacks=(_CYCLONE,), rows=("not_after year ≥ 2262 (9999, 2300)",),
+    stacks=CYCLONE, rows=("not_after year ≥ 2262 (9999, 2300)",),
     measured="Cyclone DDS 0.10.2, 0.10.5, 11.0.1",
     bad="<not_after>2300-01-01T00:00:00Z</not_after>",
     good="<not_after>2027-06-01T00:00:00Z</not_after>",
@@ -95,7 +95,7 @@ def without_zone(document: PermissionsFile) -> Iterator[Violation]:
     "PQS266", WARNING, "a time in a zone other than UTC",
     why="Fast DDS ignores the zone and reads the time as local time, which can differ by hours.",
     fix="Write the time in UTC, with Z.",
-    stacks=(_FAST,),
+    stacks=FAST,
     rows=("TZ=America/Los_Angeles, not_before = now-1h Z",
           "TZ=America/Los_Angeles, not_after expired 1 h ago Z"),
     measured="Fast DDS 2.9.1, 3.1.2, 3.6.2",

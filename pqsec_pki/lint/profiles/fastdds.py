@@ -12,7 +12,7 @@ from pqsec_pki.lint.profile import ParticipantProfile, ProfileFile
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.stacks import Stack
 
-_FAST = (Stack.FASTDDS,)
+_FAST = {Stack.FASTDDS: "2.9.1, 3.1.2"}
 _RUN = "Fast DDS 2.9.1, 3.1.2"
 _AUTH, _ACCESS, _CRYPTO = (f"dds.sec.{each}.plugin" for each in ("auth", "access", "crypto"))
 _PLUGINS = {

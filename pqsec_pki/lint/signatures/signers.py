@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 from pqsec_pki._times import said
 from pqsec_pki.algorithms import Family as Strength
-from pqsec_pki.certificates import BACKDATE, Certificate, name_text
+from pqsec_pki.certificates import BACKDATE, Certificate, same_name
 from pqsec_pki.lint._keys import family_of
 from pqsec_pki.lint.document import same_lines
 from pqsec_pki.lint.rule import SIX_STACKS, Severity, Violation, lint_rule
@@ -17,7 +17,7 @@ from pqsec_pki.stacks import Stack
     "PQS336", Severity.ERROR, "the signer's certificate is not in the document",
     why="Cyclone DDS 0.10 and Fast DDS 2.9 search for it only in the document.",
     fix="Sign without -nocerts, or run `pqsec sign-permissions --embed-certificate`.",
-    stacks=(Stack.CYCLONEDDS, Stack.FASTDDS),
+    stacks={Stack.CYCLONEDDS: "0.10.2, 0.10.5", Stack.FASTDDS: "2.9.1"},
     rows=("`NoCerts`",), measured="Cyclone DDS 0.10.2, 0.10.5; Fast DDS 2.9.1",
     bad=r"""
         $ cp k/public/permissions_ca.cert.pem .
@@ -157,7 +157,8 @@ def _by_another(document: DocumentAndSigners) -> str:
     name, signers = document.ca.subject_name, document.file.signers
     if who := _known(document):
         return f"signed by {who}, not by {name}"
-    if all(signer.issuer != name_text(document.ca.subject) for signer in signers):
+    issuers = (each.issuer_der for each in signers)
+    if not any(each and same_name(each, document.ca.subject_der) for each in issuers):
         return f"signed by {signers[0].issuer or 'another key'}, not by {name}"
     certificate = next(embedded(document.file), None)
     if certificate is None:

@@ -15,6 +15,7 @@ from pqsec_pki.trial import (
 )
 from tests.interop.conftest import TOPIC
 from tests.interop.plugin.conftest import Shim
+from tests.interop.strangers import run_strangers
 
 DOMAIN = 3
 PATIENCE = 60.0
@@ -115,6 +116,10 @@ class Stage:
         """How it went."""
         scene = TrialSetup(program=self.program, domain=DOMAIN, topic=topic, timeout=seconds)
         return run_peers(scene, roles)
+
+    def run_strangers(self, *roles: TrialRole, said: str = "") -> TrialRun:
+        """How it went with some that should not meet, and when a log had `said`."""
+        return run_strangers(self.run_peers, roles, (REFUSAL, PATIENCE), said)
 
 
 def met(trial_run: TrialRun) -> bool:

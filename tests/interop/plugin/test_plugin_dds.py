@@ -107,34 +107,31 @@ def test_nothing_comes_from_one_without_credentials(stage, labs):
     outsider = unauthenticated(
         stage.installation, stage.sender(labs("pq").alice).act, stage.folder, "x"
     )
-    went = stage.run_peers(outsider, stage.receiver(labs("pq").bob), seconds=REFUSAL)
+    went = stage.run_strangers(outsider, stage.receiver(labs("pq").bob))
     assert went.outcomes[1].joined
     assert went.outcomes[1].received is None
 
 
 def test_nothing_passes_between_two_cas_of_the_same_name(stage, labs, other_labs):
-    went = stage.run_peers(
-        stage.sender(labs("pq").alice), stage.receiver(other_labs("pq").bob), seconds=REFUSAL
+    said = "is not signed by this CA"
+    went = stage.run_strangers(
+        stage.sender(labs("pq").alice), stage.receiver(other_labs("pq").bob), said=said
     )
     assert all(each.joined for each in went.outcomes)
     assert not met(went)
-    assert "is not signed by this CA" in logs(went)
+    assert said in logs(went)
 
 
 def test_nothing_passes_to_one_with_cyclones_own_plugin_unless_allowed(stage, labs):
     lab = labs("transition")
-    went = stage.run_peers(
-        stage.sender(lab.alice), stage.receiver(lab.bob, plugins=CYCLONES), seconds=REFUSAL
-    )
+    went = stage.run_strangers(stage.sender(lab.alice), stage.receiver(lab.bob, plugins=CYCLONES))
     assert all(each.joined for each in went.outcomes)
     assert not met(went)
 
 
 def test_a_topic_that_is_not_granted_cannot_be_made(stage, labs):
     lab = labs("pq")
-    went = stage.run_peers(
-        stage.sender(lab.alice), stage.receiver(lab.bob), topic="rt/secret", seconds=REFUSAL
-    )
+    went = stage.run_peers(stage.sender(lab.alice), stage.receiver(lab.bob), topic="rt/secret")
     assert went.outcomes[0].refused
     assert went.outcomes[0].refused.startswith("topic")
     assert "check_create_topic refused" in stage.shim.log

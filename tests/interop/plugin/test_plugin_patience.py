@@ -21,8 +21,6 @@ from tests.interop.plugin.test_plugin_robust import HERE, compiled
 
 pytestmark = pytest.mark.interop
 
-PATIENCE = 0.4
-"""Seconds that a call may take."""
 HANDLE = 7
 ANSWER = struct.pack("<IBIQ", 13, 0, 0, HANDLE)
 
@@ -37,15 +35,15 @@ def program(requires, tmp_path_factory):
 
 @pytest.fixture
 def said(program):
-    """said(frames) is what the library says of an agent that answers with these, at half its
-    patience each; it hangs up when all are sent."""
+    """said(frames, patience) is what the library says that waits so many seconds, of an agent that
+    answers with these, one in each eighth of them; it hangs up when all are sent."""
     folder = Path(tempfile.mkdtemp(prefix="pqsec-"))  # a socket's path must be short
     (folder / "pqsec").mkdir(mode=0o700)
     listener = socket.socket(socket.AF_UNIX)
     listener.bind(str(folder / "pqsec" / "agent.sock"))
     listener.listen()
 
-    def ask(frames):
+    def ask(frames, patience):
         done = threading.Event()
 
         def answer():
@@ -55,7 +53,7 @@ def said(program):
                 link.sendall(GREETED)
                 link.recv(1 << 16)
                 for each in frames:
-                    if done.wait(PATIENCE / 2):
+                    if done.wait(patience / 8):
                         return
                     link.sendall(each)
 
@@ -63,7 +61,7 @@ def said(program):
         agent.start()
         environment = {
             "XDG_RUNTIME_DIR": str(folder),
-            "PQSEC_AGENT_TIMEOUT": str(int(1000 * PATIENCE)),
+            "PQSEC_AGENT_TIMEOUT": str(int(1000 * patience)),
         }
         found = subprocess.run(
             [program], env=environment, capture_output=True, text=True, check=True
@@ -80,20 +78,20 @@ def said(program):
 @pytest.mark.slow
 def test_a_busy_agent_gets_more_time_than_a_call_may_take(said):
     """At a robot's start, the agent was taken for one that hangs after five seconds."""
-    assert said([*[WORKING] * 8, ANSWER]) == f"{HANDLE}\n"
+    assert said([*[WORKING] * 12, ANSWER], 2) == f"{HANDLE}\n"
 
 
 def test_an_agent_that_says_nothing_is_not_waited_for(said):
-    assert "does not answer within 400 ms" in said([b"", b"", b"", b"", ANSWER])
+    assert "does not answer within 400 ms" in said([*[b""] * 16, ANSWER], 0.4)
 
 
 @pytest.mark.slow
 def test_an_agent_that_is_busy_for_ever_is_given_up(said):
-    assert "is too busy: no answer within 4800 ms" in said(repeat(WORKING))
+    assert "is too busy: no answer within 12000 ms" in said(repeat(WORKING), 1)
 
 
 def test_an_agent_that_is_busy_and_then_ends_is_gone(said):
-    assert "the agent is gone" in said([WORKING] * 3)
+    assert "the agent is gone" in said([WORKING] * 3, 2)
 
 
 # Counts how often it is started as the agent's interpreter: $5 is the socket.

@@ -13,7 +13,7 @@ from pqsec_pki.trial import unique_text
 from pqsec_pki.vendors.messages import recognise
 from tests.interop.conftest import LAB_PROFILES
 from tests.interop.crew import Crew
-from tests.interop.nodes import REFUSAL, Does, ended
+from tests.interop.nodes import Does, ended
 
 pytestmark = pytest.mark.interop
 
@@ -71,7 +71,7 @@ def test_cyclones_own_plugin_makes_no_node_of_these_keys(nodes, crews):
 def test_a_node_of_another_domain_with_the_same_names_gets_nothing(nodes, role, crews, shim):
     rogue = role(Does.RECEIVE, "/listener", crew=crews(whose="rogue"))
     before = len(shim.place.log.read_text()) if shim.place.log.exists() else 0
-    went = nodes.run_peers(role(Does.SEND, "/talker", text=unique_text()), rogue, seconds=REFUSAL)
+    went = nodes.run_strangers(role(Does.SEND, "/talker", text=unique_text()), rogue)
     assert all(each.joined for each in went.outcomes)
     assert went.outcomes[1].received is None
     assert "is not signed by this CA" in shim.place.log.read_text()[before:]

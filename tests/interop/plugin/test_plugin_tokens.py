@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 
 from pqsec_pki.plugin import AgentFolder, stop_agent
-from pqsec_pki.trial import MissingStackError, TrialRole, find
+from pqsec_pki.trial import MissingStackError, TrialRole, find, running
 from tests.interop.conftest import TOPIC
 from tests.interop.cyclone import RefusedError, participant
 from tests.interop.plugin.conftest import Shim, children
 from tests.interop.plugin.couple import couple
-from tests.interop.plugin.processes import REFUSAL, Stage, logs, met
+from tests.interop.plugin.processes import PATIENCE, Stage, logs, met
 from tests.interop.tokens import SPY
 
 pytestmark = [pytest.mark.interop, pytest.mark.timeout(300)]
@@ -109,16 +109,19 @@ def test_cyclones_own_plugin_takes_no_key_in_a_token(stage, enclaves, form, word
     alice, bob = enclaves
     role = stage.sender(alice, plugins="cyclones cyclones")
     role = with_uri(role, alice) if form == "URI" else role
-    went = stage.run_peers(role, stage.receiver(bob), seconds=REFUSAL)
+    went = stage.run_peers(role, stage.receiver(bob))
     assert went.outcomes[0].refused
     assert words in logs(went), logs(went)
 
 
-def test_without_the_token_a_participant_is_refused_with_the_reason(stage, enclaves, token):
+def test_without_the_token_a_participant_is_refused_with_the_reason(
+    stage, enclaves, token, monkeypatch
+):
+    monkeypatch.setattr(running, "_SETTLE", PATIENCE)  # it ends before, when both have ended
     alice, bob = enclaves
     (token.folder / "tokens").rename(token.folder / "elsewhere")
     (token.folder / "tokens").mkdir()
-    went = stage.run_peers(stage.sender(alice), stage.receiver(bob), seconds=REFUSAL)
+    went = stage.run_peers(stage.sender(alice), stage.receiver(bob))
     assert all(each.refused for each in went.outcomes)
     assert "the token 'lab' is not there" in logs(went)
 

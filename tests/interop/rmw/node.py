@@ -109,6 +109,7 @@ class Process:
         say("joined")
         if not self.until(client.server_is_ready):
             return
+        say("matched")
         sent = client.send_goal_async(Fibonacci.Goal(order=3))
         if self.until(sent.done):
             result = sent.result().get_result_async()

@@ -38,6 +38,8 @@ using Type = const message_type_support_callbacks_t*;
 namespace {
 
 constexpr const char* NAME = "rmw_cyclonedds_cpp";
+constexpr size_t GUID_PREFIX = 12;  // octets, the same for all entities of one participant
+constexpr size_t MANY = 64;         // more readers of one service's answers than a test has
 
 // ---- What stands behind the structures of ROS 2
 
@@ -264,6 +266,18 @@ bool is_matched(const Endpoint& endpoint) {
     dds_get_publication_matched_status(endpoint.writer, &out);
     dds_get_subscription_matched_status(endpoint.reader, &in);
     return out.current_count && in.current_count;
+}
+
+// Whether a reader of who sent that request is matched with the writer of the endpoint's answers.
+bool is_matched_with(const Endpoint& endpoint, const rmw_request_id_t& id) {
+    dds_instance_handle_t readers[MANY];
+    dds_return_t count = dds_get_matched_subscriptions(endpoint.writer, readers, MANY);
+    return std::any_of(readers, readers + std::clamp<int>(count, 0, MANY), [&](auto reader) {
+        auto* found = dds_get_matched_subscription_data(endpoint.writer, reader);
+        bool is_of_asker = found && !memcmp(found->key.v, id.writer_guid, GUID_PREFIX);
+        if (found) dds_builtintopic_free_endpoint(found);
+        return is_of_asker;
+    });
 }
 
 // ---- Waiting
@@ -506,6 +520,11 @@ rmw_ret_t rmw_take_request(const rmw_service_t* service, rmw_service_info_t* hea
 
 rmw_ret_t rmw_send_response(const rmw_service_t* service, rmw_request_id_t* header,
                             void* response) {
+    // The request may arrive before the client's reader is discovered, and an answer that is
+    // written then is lost. rmw_cyclonedds waits too.
+    dds_time_t end = dds_time() + DDS_SECS(10);
+    while (!is_matched_with(endpoint_of(service), *header) && dds_time() < end)
+        dds_sleepfor(DDS_MSECS(10));
     return write(endpoint_of(service), response, *header);
 }
 
