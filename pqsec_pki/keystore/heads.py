@@ -19,6 +19,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import (
     KeystoreError,
     MalformedError,
+    MissingError,
     PqsecError,
     VerificationError,
     located,
@@ -148,10 +149,11 @@ def _difference(root: Path, ledger: Ledger, data: bytes) -> KeystoreError | None
     """The error if the ledger contradicts the signed head in `data`."""
     try:
         head = _verified_in(root, data).head
-    except (MalformedError, VerificationError) as error:
-        ca = f"{layout.PUBLIC}/{layout.PERMISSIONS_CA}"
+    except (MalformedError, VerificationError, MissingError) as error:
+        ca = f"; the CA is that in {layout.PUBLIC}/{layout.PERMISSIONS_CA}"
+        where = "" if isinstance(error, MissingError) else ca
         return KeystoreError(
-            f"the ledger cannot be compared with its signed head: {error}; the CA is that in {ca}",
+            f"the ledger cannot be compared with its signed head: {error}{where}",
             hint="one of the two files was replaced: restore public/ from a backup. If only the"
             " head is lost, remove it: `pqsec log --sign` signs another",
         )

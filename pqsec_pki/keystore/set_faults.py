@@ -4,7 +4,7 @@ Which sets a keystore has is in its settings and in its ledger, not in its folde
 checked elsewhere: here, only what the sets have in common is compared.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
@@ -26,22 +26,26 @@ _GOVERNANCE = f"{layout.ENCLAVES}/{layout.GOVERNANCE}"
 _LIST = layout.LIST_TARGET[layout.LIST]
 
 
-def faults_of_sets(keystore: Keystore) -> Iterator[tuple[Path, str]]:
+def faults_of_sets(
+    keystore: Keystore, names: Collection[str] | None = None
+) -> Iterator[tuple[Path, str]]:
     """The file, and what is wrong, for each thing that one set lacks or has otherwise.
 
-    Nothing for a keystore with one set. What cannot be read is left to other checks.
+    Of these participants [default: all], and of what all share. Nothing for a keystore with one
+    set. What cannot be read is left to other checks.
     """
     first, *others = keystore.sets
     for each in others:
-        yield from _missing(first, each)
-        yield from _different(first, each)
+        there = sorted({*_names(first), *_names(each)}) if names is None else names
+        yield from _missing(first, each, there)
+        yield from _different(first, each, there)
 
 
-def _missing(first: Keystore, other: Keystore) -> Iterator[tuple[Path, str]]:
+def _missing(first: Keystore, other: Keystore, names: Iterable[str]) -> Iterator[tuple[Path, str]]:
     places = [*_OF_ALL]
     if first.has_revocation_list or other.has_revocation_list:
         places.append(_LIST)
-    for name in sorted({*_names(first), *_names(other)}):
+    for name in names:
         folder = layout.enclave_folder(name)
         places += [f"{folder}/{each}" for each in (layout.CERTIFICATE, layout.PERMISSIONS)]
     for place in places:
@@ -55,10 +59,12 @@ def _names(keystore: Keystore) -> list[str]:
     return keystore.names() if exists(keystore.folder / layout.ENCLAVES) else []
 
 
-def _different(first: Keystore, other: Keystore) -> Iterator[tuple[Path, str]]:
+def _different(
+    first: Keystore, other: Keystore, names: Iterable[str]
+) -> Iterator[tuple[Path, str]]:
     """Documents with other content, certificates with another subject, and keys of two sets."""
     yield from _unlike(first, other, _GOVERNANCE, _document, "says something else than")
-    for name in _names(first):
+    for name in names:
         folder = layout.enclave_folder(name)
         signed, certificate = f"{folder}/{layout.PERMISSIONS}", f"{folder}/{layout.CERTIFICATE}"
         yield from _unlike(first, other, signed, _document, "says something else than")

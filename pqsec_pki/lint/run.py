@@ -134,7 +134,12 @@ def _findings(
         *inventory.enclaves,
     )
     checked = counted(subjects, len(subjects), "subjects")
-    found = (each for each in _answers(running, checked) if is_about(each.stacks, targets))
+    found = (
+        each
+        for each in _answers(running, checked)
+        if is_about(each.stacks, targets)
+        and not (each.stacks and inventory.is_unseen_by_stock(each.path))
+    )
     return without_repetitions(found, inventory)
 
 

@@ -26,7 +26,7 @@ from pqsec_pki.credentials import (
     TrustAnchors,
 )
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, layout
 from pqsec_pki.lint._anchors import SharedAnchors
 from pqsec_pki.lint._one_sided import one_sided
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
@@ -187,6 +187,19 @@ class Inventory:
         for each in (*in_enclaves, *self._outside_enclaves()):
             found.setdefault((each.file.path, each.ca.fingerprint), each)
         return tuple(found.values())
+
+    def set_of(self, path: Path) -> Keystore | None:
+        """The set of credentials that a file or folder is of; None without a keystore.
+
+        The first one, if it is in the folder of no other.
+        """
+        further = self.keystore.sets[1:] if self.keystore else ()
+        return next((each for each in further if each.folder in path.parents), self.keystore)
+
+    def is_unseen_by_stock(self, path: Path) -> bool:
+        """Whether the path is of a set that stock stacks do not see: any but the first one."""
+        found = self.set_of(path)
+        return found is not None and found.set_name != layout.FIRST
 
     @cached_property
     def one_sided(self) -> tuple[tuple[PermissionsFile, Alone], ...]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.keystore import Keystore, refuse_further_sets, regular_name
+from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.trial.agent_runs import TrialPlugin
 from pqsec_pki.trial.building import built, source
 from pqsec_pki.trial.findings import LogFinding, findings
@@ -161,7 +161,6 @@ def run_trial(trial: Trial, topic_route: TopicRoute) -> TrialReport:
     VerificationError if the credentials cannot be trusted or the stack is known to refuse them
     (unless `trial.anyway`); BuildError and FileError if the peer cannot be built.
     """
-    refuse_further_sets(trial.keystore, "`pqsec try` runs")
     installation = trial.installation
     with (
         disk_errors(Path(tempfile.gettempdir())),

@@ -12,11 +12,11 @@ from pathlib import Path, PurePosixPath
 from pqsec_pki.access import Action
 from pqsec_pki.credentials import REVOCATION_LIST, SIX
 from pqsec_pki.documents import ros
-from pqsec_pki.errors import PqsecError, UsageError, shown
-from pqsec_pki.keystore import Keystore, regular_name
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError, shown
+from pqsec_pki.keystore import Keystore, refuse_further_sets, regular_name
 from pqsec_pki.lint import Severity, check
 from pqsec_pki.stacks import Stack
-from pqsec_pki.vendors import _ros2_plugin, own_plugin
+from pqsec_pki.vendors import _first_set, _ros2_plugin, own_plugin
 from pqsec_pki.vendors._render import render
 from pqsec_pki.vendors._ros2_environment import (
     DOMAIN,
@@ -100,6 +100,10 @@ def preflight(
     credentials: list[Check] = []
     try:
         _refuse_name(name)
+        if options.plugin:
+            refuse_further_sets(keystore, "this check knows")
+        elif unfit := _first_set.unfit(keystore):
+            raise VerificationError(unfit, hint=_first_set.way_out(keystore))
         enclave = StackEnclave.find(keystore, name)
         needs = Needs.of(enclave)
         files = Check(what="files")

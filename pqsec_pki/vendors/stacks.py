@@ -10,7 +10,7 @@ from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
 from pqsec_pki.tokens import SCHEME
-from pqsec_pki.vendors import _datagrams, own_plugin
+from pqsec_pki.vendors import _datagrams, _first_set, own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exporters import EXPORTERS, Exporter, exporter_of
 from pqsec_pki.vendors.exports import Export, Options
@@ -20,13 +20,15 @@ from pqsec_pki.vendors.own_plugin import FASTRTPS, PRELOAD
 def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: datetime) -> Export:
     """What the stack of that name needs to run as the participant called `name`.
 
-    VerificationError if the credentials cannot be trusted (room `credentials`), or the stack is
-    known to refuse them (`pqsec check` finds an error), or our plugin does, unless
+    Of several sets of credentials, a stack with its own plugins gets the first. VerificationError
+    if that is not for such stacks, the credentials cannot be trusted (room `credentials`), or the
+    stack is known to refuse them (`pqsec check` finds an error), or our plugin does, unless
     `options.anyway`; UsageError if there is no such stack, or an option is not for it;
     KeystoreError if there is no such participant, or, unless `options.anyway`, a file is not the
     newest by the ledger; FileError if our plugin is not there.
     """
-    refuse_further_sets(keystore, "`pqsec export` configures")
+    if options.plugin:
+        refuse_further_sets(keystore, "`pqsec export --plugin` configures")
     exporter = exporter_of(stack)
     exporter.refuse_unknown(options)
     _refuse_place(exporter, options)
@@ -35,6 +37,10 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     if options.password is not None and not enclave.key_is_encrypted:
         raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
     _refuse_token(exporter, enclave, options)
+    unfit = None if options.plugin else _first_set.unfit(keystore)
+    if unfit and not options.anyway:
+        plugin = "; or run pqsec's plugin in it: --plugin" if exporter.loads_ours else ""
+        raise VerificationError(unfit, hint=_first_set.way_out(keystore) + plugin)
     made = exporter.make(enclave, options)
     report = check([enclave.folder], now=now, targets=[exporter.stack])
     found: dict[Severity | None, list[Finding]] = {}
@@ -45,6 +51,7 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     if refusal and not options.anyway:
         raise refusal
     refused = [*map(str, refusal.problems if refusal else ())]
+    refused += () if unfit is None else (str(unfit),)
     try:
         refused += _not_compared(keystore, enclave.name)
     except (KeystoreError, VerificationError) as error:
@@ -57,7 +64,12 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     return replace(
         made,
         notes=(*made.notes, *datagrams),
-        warnings=(*made.warnings, *refused, *map(_message_of, warnings)),
+        warnings=(
+            *made.warnings,
+            *refused,
+            *map(_message_of, warnings),
+            *_first_set.lacking(keystore, enclave.name),
+        ),
     )
 
 

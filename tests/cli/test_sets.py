@@ -67,7 +67,7 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
         "ca rotate --profile pq",
         "ca show --pins",
         "ca crl --show -o x",
-        "export cyclonedds /talker",
+        "export cyclonedds /talker --plugin",
         "ledger move postgresql://u@h/d",
         "report -o x",
         "estimate",

@@ -28,6 +28,8 @@ TWO = ("/listener", "/talker")
 def made(root, profile, domains="0", names=TWO, subscribe=()):
     """A keystore with these participants; `names` may say on which domains each is.
 
+    `profile` may be several, with commas: a set of credentials for each.
+
     Those of one name in their folders have the same keys: each is made once in a process, and then
     copied.
     """
@@ -42,7 +44,7 @@ def _kept(_name, profile, domains, placed, subscribe):
     folder = TemporaryDirectory()
     keystore = Keystore.create(
         Path(folder.name) / "k",
-        profile_named(profile),
+        *map(profile_named, profile.split(",")),
         name="Test",
         domains=DomainSet.parse(domains),
         validity=900 * DAY,

@@ -4,8 +4,9 @@ The largest message is the Reply: it contains the certificate and the signed per
 It is built here as it is sent, with zeros in place of secrets and signatures.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
@@ -86,7 +87,7 @@ class LargestMessage:
     """,
 )  # fmt: skip
 def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
-    for size in _sizes(inventory, None):
+    for size in _sizes(inventory.enclaves, None):
         if size.message > FAST_DDS_LIMIT.size:
             words = (
                 f"{size.found}: over {FAST_DDS_LIMIT.size}, too large for some versions of Fast DDS"
@@ -159,7 +160,11 @@ def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def over_reassembly_memory(inventory: Inventory) -> Iterator[Violation]:
-    held = [frames_of(each.message) * FRAME_MEMORY for each in largest_messages(inventory)]
+    of_each = dict[str | Path, int]()  # one with several sets sends messages of one to a peer
+    for each in largest_messages(inventory):
+        who = each.enclave.name if inventory.keystore else each.enclave.folder
+        of_each[who] = max(of_each.get(who, 0), frames_of(each.message) * FRAME_MEMORY)
+    held = of_each.values()
     needed = sum(held) - min(held, default=0)
     if needed > IPFRAG_HIGH_THRESH:
         yield Violation(
@@ -193,16 +198,17 @@ def _reply_size(
 def largest_messages(
     inventory: Inventory, profile: Profile | None = None
 ) -> Iterator[LargestMessage]:
-    """For each participant, between pqsec peers of `profile`, else of its keystore's; without
-    both, for stock stacks."""
-    if profile is None and inventory.keystore:
-        profile = inventory.keystore.profile
-    return _sizes(inventory, profile)
-
-
-def _sizes(inventory: Inventory, profile: Profile | None) -> Iterator[LargestMessage]:
-    """The size for each participant: between pqsec peers of `profile`, or for stock stacks."""
+    """For each participant, and each of its sets in a keystore, between pqsec peers of `profile`,
+    else of the set's; without both, for stock stacks."""
     for enclave in inventory.enclaves:
+        keystore = inventory.set_of(enclave.folder)
+        row = profile or (keystore.profile if keystore else None)
+        yield from _sizes([enclave], row)
+
+
+def _sizes(enclaves: Iterable[EnclaveFolder], profile: Profile | None) -> Iterator[LargestMessage]:
+    """The size for each of them: between pqsec peers of `profile`, or for stock stacks."""
+    for enclave in enclaves:
         certificate, file = enclave.certificate(), enclave.files.get(PERMISSIONS)
         key = _key(certificate, profile) if certificate else None
         if certificate is None or file is None or key is None:

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from pqsec_pki.algorithms import Family as Strength
-from pqsec_pki.algorithms import SignatureAlgorithm
+from pqsec_pki.algorithms import Profile, SignatureAlgorithm
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import alternative_key_of, family_of, key_kind
 from pqsec_pki.lint.roles import CertificateRole
@@ -75,24 +75,30 @@ def post_quantum_documents(file: CertificateFile) -> Iterator[Violation]:
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def below_profile(inventory: Inventory) -> Iterator[Violation]:
-    if inventory.keystore is None:
-        return
-    profile = inventory.keystore.profile
-    wanted = {
-        CertificateRole.PARTICIPANT: (profile.participant_key, profile.alternative_key),
-        CertificateRole.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
-        CertificateRole.PERMISSIONS_CA: (profile.permissions_key, None),
-        CertificateRole.COUNTERSIGNER: (profile.alternative_key, None),
-    }
     for file in inventory.certificates:
-        role = file.role
-        rows = wanted.get(role, (None, None))
+        keystore = inventory.set_of(file.path)
+        if keystore is None:
+            return
+        role, profile = file.role, keystore.profile
+        rows = _wanted(profile).get(role, (None, None))
         for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
             if row and (level := _level(found)) < row.level:
                 words = f"the {role}'s {what} is of security level {level}, not {row.level}"
                 yield Violation(
                     f"{words} as in profile {profile.name} ({row.name})", path=file.path
                 )
+
+
+def _wanted(
+    profile: Profile,
+) -> dict[CertificateRole, tuple[SignatureAlgorithm | None, SignatureAlgorithm | None]]:
+    """Role -> the algorithms of its key and its alternative key."""
+    return {
+        CertificateRole.PARTICIPANT: (profile.participant_key, profile.alternative_key),
+        CertificateRole.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
+        CertificateRole.PERMISSIONS_CA: (profile.permissions_key, None),
+        CertificateRole.COUNTERSIGNER: (profile.alternative_key, None),
+    }
 
 
 @lint_rule(
