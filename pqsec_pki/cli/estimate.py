@@ -1,6 +1,6 @@
 """pqsec estimate: predict what the handshakes of a fleet cost."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from math import isfinite
 from pathlib import Path
@@ -53,7 +53,7 @@ from pqsec_pki.stacks import IPFRAG_HIGH_THRESH, SMALL_FRAGMENT
 @click.option(
     "--profile",
     type=click.Choice([each.name for each in PROFILES], case_sensitive=False),
-    help="Predict this profile.  [default: pq, or the keystore's]",
+    help="Predict this profile.  [default: pq, or each of the keystore's]",
 )
 @click.option(
     "--loss",
@@ -133,29 +133,43 @@ def estimate(  # noqa: PLR0913 -- one for each option, by name
 
     All participants start, find each other and make a handshake with each other, as in Cyclone
     DDS. Two models answer, a closed form and a simulation; both are printed. Without
-    --participants, the keystore's participants and the sizes of their own documents count.
+    --participants, the keystore's participants and the sizes of their own documents count; of
+    several sets of credentials, each is predicted, as if all met with it.
     """
     if plot:
         _refuse_plot(plot, force=force)
     version = _wire_version.version_of(wire_version)
-    name, sizes = _fleet(participants, profile, version)
-    scenario = Scenario(
-        participants=participants or len(sizes),
-        sizes=mean_of(sizes),
-        each=sizes,
-        costs=read_costs(measured, name, version) if measured else costs_of(name, version),
-        loss=loss,
-        fragment=fragment,
-        cores=cores,
-        hosts=hosts or 0,
-        start_within=start_within,
-        threshold=threshold,
-    )
-    found = estimated(scenario, seed, _second(participants, profile, version) if loss else None)
+    predicted = dict[str, Estimate]()
+    for name in _profiles(participants, profile, version, plot):
+        sizes = _fleet(participants, name, version)
+        scenario = Scenario(
+            participants=participants or len(sizes),
+            sizes=mean_of(sizes),
+            each=sizes,
+            costs=read_costs(measured, name, version) if measured else costs_of(name, version),
+            loss=loss,
+            fragment=fragment,
+            cores=cores,
+            hosts=hosts or 0,
+            start_within=start_within,
+            threshold=threshold,
+        )
+        second = _second(participants, name, version) if loss else None
+        predicted[name] = estimated(scenario, seed, second)
     if plot:
-        write(plot, svg_of(found).encode(), force=force)
-    value = {"profile": name, "wire_version": version, **found.to_json()}
-    _printing.emit(value, _lines(f"{name}, messages of version {version}", found))
+        write(plot, svg_of(*predicted.values()).encode(), force=force)
+    first, *further = (
+        {"profile": name, "wire_version": version, **each.to_json()}
+        for name, each in predicted.items()
+    )
+    _printing.emit({**first, "further": further}, _lines_of_all(predicted, version))
+
+
+def _lines_of_all(predicted: Mapping[str, Estimate], version: WireVersion) -> Iterator[str]:
+    for number, (name, each) in enumerate(predicted.items()):
+        if number:
+            yield ""
+        yield from _lines(f"{name}, messages of version {version}", each)
 
 
 def _refuse_plot(plot: Path, *, force: bool) -> None:
@@ -165,46 +179,63 @@ def _refuse_plot(plot: Path, *, force: bool) -> None:
         refuse_existing(plot)
 
 
-def _second(
-    participants: int | None, profile: str | None, version: WireVersion
-) -> MessageSizes | None:
+def _second(participants: int | None, profile: str, version: WireVersion) -> MessageSizes | None:
     """The mean sizes in the second version, if the fleet does not have it and could have."""
     if version is WireVersion.SECOND:
         return None
     with suppress(UsageError, MalformedError):
-        return mean_of(_fleet(participants, profile, WireVersion.SECOND)[1])
+        return mean_of(_fleet(participants, profile, WireVersion.SECOND))
     return None
 
 
-def _fleet(
-    participants: int | None, profile: str | None, version: WireVersion
-) -> tuple[str, tuple[MessageSizes, ...]]:
-    """The profile, and the sizes of one participant for all, or of each of the keystore."""
+def _profiles(
+    participants: int | None, profile: str | None, version: WireVersion, plot: Path | None
+) -> list[str]:
+    """The profiles to predict: one, or without a name those of the keystore's sets."""
     if participants:
-        chosen = profile_named(profile or "pq")
+        chosen = [profile_named(profile or "pq")]
+    else:
+        known = _settings.open_keystore(instead="--participants COUNT").profiles
+        chosen = [each for each in known if profile in {None, each.name}]
+        if not chosen:
+            has = ", ".join(each.name for each in known)
+            raise UsageError(
+                f"the keystore has profile{'s' if len(known) > 1 else ''} {has}",
+                hint="for another profile, name a number: --participants",
+            )
+    for each in chosen:
+        _refuse_second(each, version)
+    names = [each.name for each in chosen]
+    if plot and len(names) > 1:
+        raise UsageError(f"--plot draws one profile: name one with --profile: {', '.join(names)}")
+    return names
+
+
+def _fleet(
+    participants: int | None, profile: str, version: WireVersion
+) -> tuple[MessageSizes, ...]:
+    """The sizes of one participant for all, or of each in that set of the keystore."""
+    if participants:
+        chosen = profile_named(profile)
         _refuse_second(chosen, version)
-        return chosen.name, (sizes_of(chosen, version),)
-    keystore = _settings.open_keystore(instead="--participants COUNT")
-    if profile and profile != keystore.profile.name:
-        raise UsageError(
-            f"the keystore has profile {keystore.profile.name}",
-            hint="for another profile, name a number: --participants",
-        )
+        return (sizes_of(chosen, version),)
+    keystore = _settings.open_keystore().of_profile(profile)
     _refuse_second(keystore.profile, version)
     sizes = tuple(sizes_in(keystore, version))
     if len(sizes) < 2:  # noqa: PLR2004 -- one has no peer
+        where = f"set {profile} of the keystore" if keystore.set_name else "keystore"
         raise UsageError(
-            f"the keystore has {_printing.counted(len(sizes), 'participant')}, not two",
+            f"the {where} has {_printing.counted(len(sizes), 'participant')}, not two",
             hint="name a number: --participants",
         )
-    return keystore.profile.name, sizes
+    return sizes
 
 
 def _refuse_second(profile: Profile, version: WireVersion) -> None:
     if version is WireVersion.SECOND and not profile.key_agreement.binds_transcript:
         raise UsageError(
             f"messages of profile {profile.name} have only version 1",
-            hint=f"leave out {_wire_version.NAME}",
+            hint=f"leave out {_wire_version.NAME}, or name another set's with --profile",
         )
 
 

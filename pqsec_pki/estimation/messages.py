@@ -13,7 +13,7 @@ from pqsec_pki.handshake import (
     WireVersion,
     check_carried,
 )
-from pqsec_pki.keystore import Keystore, enclave_files, refuse_further_sets
+from pqsec_pki.keystore import Keystore, enclave_files
 
 PARTICIPANT_DATA = 676
 """Bytes of `c.pdata` of a stack: Cyclone DDS's, with a GUID and addresses (run)."""
@@ -39,12 +39,11 @@ def sizes_of(profile: Profile, version: WireVersion = WireVersion.FIRST) -> Mess
 def sizes_in(
     keystore: Keystore, version: WireVersion = WireVersion.FIRST
 ) -> Iterator[MessageSizes]:
-    """Sizes for each participant of the keystore, by its certificate and permissions.
+    """Sizes for each participant of this set of credentials, by its certificate and permissions.
 
     KeystoreError if a participant lacks a file or has messages that no peer reads, FileError if a
     file cannot be read, MalformedError if the second version cannot carry a document.
     """
-    refuse_further_sets(keystore, "`pqsec estimate` measures")
     for name in keystore.names():
         files = enclave_files(keystore.folder, name)
         certificate, permissions = files[CERTIFICATE], files[PERMISSIONS]

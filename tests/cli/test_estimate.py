@@ -120,3 +120,40 @@ def test_a_participant_with_messages_that_no_peer_reads_is_named(pqsec, tmp_path
     permissions = store / "enclaves" / "two" / "permissions.p7s"
     permissions.write_bytes(permissions.read_bytes() + bytes(MAX_SAMPLE))
     pqsec(f"estimate -k {store}").refused(3, "message of /two", f"at most {MAX_SAMPLE}")
+
+
+def test_each_set_of_credentials_of_a_keystore_is_predicted(pqsec, tmp_path):
+    for store, profiles in (("k", "classical,hybrid"), ("c", "classical"), ("h", "hybrid")):
+        pqsec(f"ca init -k {store} --no-passphrase --profile {profiles}").done()
+        pqsec(f"issue -k {store} --publish a /one /two").done()
+    told = pqsec("estimate -k k --loss 10% --json").done().json
+    sets = [told, *told["further"]]
+    assert [each["profile"] for each in sets] == ["classical", "hybrid"]
+    for each, store in zip(sets, "ch", strict=True):
+        alone = pqsec(f"estimate -k {store} --json").done().json
+        assert alone["further"] == []
+        for name, size in alone["sample_bytes"].items():
+            assert abs(each["sample_bytes"][name] - size) < 64
+    assert "version 2" in str(sets[1]["advice"])
+    assert "version 2" not in str(sets[0]["advice"])
+    lines = pqsec("estimate -k k").done().out.splitlines()
+    assert sum("2 participants on 2 hosts" in each for each in lines) == 2
+    one = pqsec("estimate -k k --profile hybrid --json").done().json
+    assert (one["profile"], one["further"]) == ("hybrid", [])
+    assert one["sample_bytes"] == sets[1]["sample_bytes"]
+    pqsec("estimate -k k --profile hybrid --wire-version 2 --plot mesh.svg").done()
+    for line, words in (
+        ("--profile pq", "the keystore has profiles classical, hybrid"),
+        ("--plot other.svg", "name one with --profile: classical, hybrid"),
+        ("--wire-version 2", "classical have only version 1"),
+    ):
+        pqsec(f"estimate -k k {line}").refused(2, words)
+    assert not (tmp_path / "other.svg").exists()
+
+
+def test_a_set_that_a_participant_lacks_is_named(pqsec, tmp_path):
+    pqsec("ca init -k k --no-passphrase --profile classical,hybrid").done()
+    pqsec("issue -k k --publish a /one /two").done()
+    (tmp_path / "k/sets/hybrid/enclaves/two").rename(tmp_path / "two")
+    pqsec("estimate -k k").refused(2, "the set hybrid of the keystore has 1 participant, not two")
+    pqsec("estimate -k k --profile classical").done()

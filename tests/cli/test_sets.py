@@ -70,7 +70,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
         "export cyclonedds /talker --plugin",
         "ledger move postgresql://u@h/d",
         "report -o x",
-        "estimate",
         "migrate plan --to pq",
         "domain import k",
         "receipt import x",
