@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.access.deciding import InterpretedPolicy, decide
     from pqsec_pki.access.decision import Decision, Markup, Part, Protection, Verdict
+    from pqsec_pki.access.decryptable import Decryptable, DecryptableTopics, decryptable_later
     from pqsec_pki.access.diff import permissions_diff
     from pqsec_pki.access.everywhere import (
         Placed,
@@ -75,6 +76,8 @@ __all__ = [
     "Change",
     "CriteriaRight",
     "Decision",
+    "Decryptable",
+    "DecryptableTopics",
     "Difference",
     "DocumentOwner",
     "Interpretation",
@@ -96,6 +99,7 @@ __all__ = [
     "add_rights",
     "allowed_domains",
     "decide",
+    "decryptable_later",
     "domain_set",
     "domains_named",
     "domains_said",
