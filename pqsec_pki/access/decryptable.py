@@ -65,18 +65,21 @@ def decryptable_later(
     members: Sequence[DocumentOwner],
     stock: Collection[str],
     *,
+    topics: Iterable[str] = (),
     now: datetime,
 ) -> DecryptableTopics:
     """What these participants send that can be decrypted later, by the standard.
 
     `stock` are the names of those that are met with classical keys. A topic is in no row if it is
-    not encrypted: that can be read today.
+    not encrypted: that can be read today. Those of `topics` have rows of their own, also if only a
+    pattern of the rules covers them.
     """
     there = {each.name for each in members}.intersection(stock)
     if not there:
         return DecryptableTopics()
     rules = (each for rule in governance.domain_rules for each in rule.topic_rules)
-    known = dict.fromkeys((*topics_named(members), *(each.topic_expression for each in rules)))
+    expressions = (each.topic_expression for each in rules)
+    known = dict.fromkeys((*topics_named(members), *expressions, *topics))
     names = witnesses(known)
     rights = who_may_anywhere(
         governance, members, names.names, now=now, asked={each: each for each in names.names}

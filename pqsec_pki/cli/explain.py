@@ -10,6 +10,7 @@ import click
 
 from pqsec_pki.access import (
     Action,
+    Decryptable,
     DocumentOwner,
     Question,
     interpretations_named,
@@ -17,6 +18,7 @@ from pqsec_pki.access import (
     topics_named,
 )
 from pqsec_pki.cli import _completion, _explain_asked, _help, _pager, _printing, _settings
+from pqsec_pki.cli._explain_later import decryptable, later_lines
 from pqsec_pki.cli._explain_lines import lines_of, right_lines
 from pqsec_pki.cli._names import named
 from pqsec_pki.cli._printing import printable
@@ -48,6 +50,9 @@ Answering = Callable[[PolicyInput], RightAnswer]
         ),
         "Ask whether all of a robot's nodes may publish a ROS 2 topic": (
             "pqsec explain '/fleet/*' --ros-publish /chatter"
+        ),
+        "Ask also what can be decrypted later because /old gets its key by ECDH": (
+            "pqsec explain /talker --publish rt/chatter --stock /old"
         ),
         "Ask about files, without a keystore": (
             "pqsec explain --governance governance.yaml --permissions talker.yaml --join"
@@ -105,6 +110,14 @@ Answering = Callable[[PolicyInput], RightAnswer]
     help="Answer as this stack interprets the documents, or this version of it.  [default: by the"
     " standard, with the stacks that differ]",
 )
+@click.option(
+    "--stock",
+    multiple=True,
+    metavar="NAME",
+    help="Count this participant, or all that a pattern or group matches, as met with classical"
+    " keys, and name what can be decrypted later because it gets keys; repeatable.",
+    shell_complete=_completion.participants,
+)
 @_pager.option
 @_settings.command_options
 def explain(name: str | None, stack: str | None, **asked: Any) -> int:
@@ -117,6 +130,9 @@ def explain(name: str | None, stack: str | None, **asked: Any) -> int:
     keystore must be signed by its CAs. A right may take several topics, as a ROS 2 service
     does: all must be allowed on one domain. NAME may be a pattern ('/robot1/*') or a group
     (@hall1): all must have the right.
+
+    With --stock, it also names the topics of the right that a quantum computer can decrypt
+    later, for all their readers: a stock participant gets a writer's keys under ECDH.
     """
     if name is not None and asked["participant"] is not None:
         raise UsageError("NAME and --participant exclude each other: they mean the same")
@@ -131,7 +147,7 @@ def explain(name: str | None, stack: str | None, **asked: Any) -> int:
     )
     names = _participants(asked["participant"])
     if len(names) > 1:
-        return _of_several(names, answer, now)
+        return _of_several(names, answer, asked, now)
     return _of_one({**asked, "participant": names[0]}, answer, now)
 
 
@@ -155,11 +171,13 @@ def _of_one(asked: dict[str, Any], answer: Answering, now: datetime) -> int:
             _printing.emit({"allowed": False, "problems": error.lines}, [])
         raise
     found = answer(policy_input)
+    later = decryptable([found], asked, now)
     if len(found.uses) > 1:
         value = {"allowed": found.yes_or_no, "answer": found.word, "answers": [found]}
-        _printing.emit(value, right_lines(found))
+        lines = [*right_lines(found), *later_lines(later)]
+        _printing.emit({**value, "decryptable_later": later}, lines)
     else:
-        _print_one(policy_input, found.uses[0])
+        _print_one(policy_input, found.uses[0], later)
     return 0 if found.allowed else 1
 
 
@@ -170,10 +188,13 @@ def _participants(given: str | None) -> list[str | None]:
     return list(named(_settings.open_keystore(), [given]))
 
 
-def _of_several(names: Sequence[str | None], answer: Answering, now: datetime) -> int:
+def _of_several(
+    names: Sequence[str | None], answer: Answering, asked: dict[str, Any], now: datetime
+) -> int:
     """Print the answer for each; 0 if all may. A participant with invalid documents may not."""
     keystore = _settings.open_keystore()
     values, lines, all_may = list[dict[str, object]](), list[str](), True
+    every = list[RightAnswer]()
     for name in filter(None, names):
         try:
             policy_input = policy_input_of(keystore, name, now)
@@ -183,19 +204,23 @@ def _of_several(names: Sequence[str | None], answer: Answering, now: datetime) -
             lines += [f"NO    {name}: {printable(line)}" for line in error.lines]
             continue
         found = answer(policy_input)
+        every.append(found)
         all_may = all_may and found.allowed
         values.append(found.to_json())
         lines += right_lines(found)
-    _printing.emit({"allowed": all_may, "answers": values}, lines)
+    later = decryptable(every, asked, now)
+    value = {"allowed": all_may, "answers": values, "decryptable_later": later}
+    _printing.emit(value, [*lines, *later_lines(later)])
     return 0 if all_may else 1
 
 
-def _print_one(policy_input: PolicyInput, use: Use) -> None:
+def _print_one(policy_input: PolicyInput, use: Use, later: Sequence[Decryptable]) -> None:
     answers = use.answers
     if use.topic is not None and use.topic != answers[0].question.topic:
         _printing.note(f"{printable(use.topic)} is a pattern: the answer is for one such topic")
-    lines = (line for each in answers for line in lines_of(policy_input, each))
-    _printing.emit(use.to_json(policy_input), lines)
+    lines = [line for each in answers for line in lines_of(policy_input, each)]
+    value = use.to_json(policy_input) | {"decryptable_later": later}
+    _printing.emit(value, [*lines, *later_lines(later)])
     question = answers[0].question
     if not answers[0].allowed and question.topic:
         _note_similar_topic(policy_input, question.action, question.topic)
