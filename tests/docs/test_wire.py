@@ -473,6 +473,20 @@ def test_sizes_of_the_second_version_and_their_ratio(now, tmp_path):
         assert row["After"] == wire_sizes.small_fragments(sizes)
 
 
+def test_sizes_of_several_sets_between_stock_stacks_are_those_of_classical(now, tmp_path):
+    rows = MEASURED.table("Sets")
+    assert [row["Sets"] for row in rows] == [*wire_sizes.SETS]
+    classical = [int(rows[0][name]) for name in ("Request between stock stacks", "Reply", "Final")]
+    for row in rows:
+        first, *further = wire_sizes.sizes_of_sets(now, tmp_path / row["Sets"], row["Sets"])
+        names, *written = row.values()
+        assert names
+        assert [int(each) for each in written if each] == pytest.approx(
+            [size for each in (first, *further) for size in each], abs=2 * AFEW
+        )
+        assert all(size <= 1.02 * due for size, due in zip(first, classical, strict=True))
+
+
 # The text
 
 

@@ -4,7 +4,7 @@ tests/docs/test_wire.py compares it with new measurements: ECDSA signatures and 
 """
 
 import sys
-from datetime import UTC, datetime
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -14,7 +14,16 @@ if __name__ == "__main__":
 
 from pqsec_pki.algorithms import Profile, profile_named  # noqa: E402 -- after the path
 from pqsec_pki.handshake import compact  # noqa: E402
-from pqsec_pki.selfcheck import HandshakeSetup, matrix  # noqa: E402
+from pqsec_pki.keystore import Keystore  # noqa: E402
+from pqsec_pki.lifecycle import ParticipantSpec, issue  # noqa: E402
+from pqsec_pki.selfcheck import (  # noqa: E402
+    PQSEC,
+    HandshakeSetup,
+    SimulatedStack,
+    matrix,
+    stack_named,
+    verify_handshake,
+)
 from pqsec_pki.selfcheck.matrix import suites  # noqa: E402
 from pqsec_pki.selfcheck.run import AROUND_TOKEN  # noqa: E402
 from pqsec_pki.stacks import DATAGRAM, FRAGMENT, SMALL_FRAGMENT  # noqa: E402
@@ -44,6 +53,13 @@ size divided by that sum. *Small fragments* are of {SMALL_FRAGMENT} octets, for 
 {AROUND_TOKEN} octets around it, in the first version and in the second."""
 SHOWN = {"classical": 2, "transition": 1, "hybrid": 1, "pq": 1, "cnsa2": 1}
 """Profiles, and how many suites of each: its own, and the one of transition."""
+SEVERAL = """## Several sets of credentials
+
+Two stock stacks see the first set alone, so their messages are those of `classical`, whatever is
+beside it. Peers with pqsec's plugin send those of the further set. Both are measured with the
+self-check, in a keystore with these sets."""
+SETS = ("classical", "classical,hybrid", "classical,pq")
+FURTHER = ("Request of the further set", "Its Reply", "Its Final")
 Sizes = list[int]
 
 
@@ -57,7 +73,10 @@ def page(now: datetime, folder: Path) -> str:
     own = {name: first[name, signature, agreement] for name, signature, agreement in _shown(first)}
     profiles = [profile_named(name) for name in SHOWN if name != "classical"]
     rows = [_second_row(now, folder, profile, own[profile.name]) for profile in profiles]
-    return "\n\n".join([*parts, table((*heads, "Small fragments, before", "After"), rows)]) + "\n"
+    parts += [table((*heads, "Small fragments, before", "After"), rows), SEVERAL]
+    rows = [_row_of_sets(now, folder, sets) for sets in SETS]
+    heads = ("Sets", "Request between stock stacks", "Reply", "Final")
+    return "\n\n".join([*parts, table((*heads, *FURTHER), rows)]) + "\n"
 
 
 Suite = tuple[str, str, str]
@@ -134,6 +153,29 @@ def _second_row(now: datetime, folder: Path, profile: Profile, before: Sizes) ->
     pairs = zip(map(str, sizes), ratios(profile, sizes), strict=True)
     cells = (cell for pair in pairs for cell in pair)
     return (profile.name, *cells, small_fragments(before), small_fragments(sizes))
+
+
+def sizes_of_sets(now: datetime, root: Path, sets: str) -> list[Sizes]:
+    """Octets of the three tokens in each set: of the first one between two stock stacks."""
+    profiles = map(profile_named, sets.split(","))
+    may = {"domains": matrix.DOMAIN, "validity": timedelta(days=365)}
+    keystore = Keystore.create(root, *profiles, name="Sets", passphrase=None, now=now, **may)
+    specs = [ParticipantSpec(name=name, publish=("x",), **may) for name in matrix.NAMES]
+    issue(keystore, keystore.unlock(None), specs, now=now)
+    first, *others = keystore.sets
+    found = [_tokens(first, now, stack_named("cyclonedds"))]
+    return found + [_tokens(each, now, PQSEC) for each in others]
+
+
+def _tokens(keystore: Keystore, now: datetime, stack: SimulatedStack) -> Sizes:
+    report = verify_handshake(keystore, *matrix.NAMES, domain=0, now=now, stacks=(stack, stack))
+    return list(report.token_bytes.values())
+
+
+def _row_of_sets(now: datetime, folder: Path, sets: str) -> tuple[str, ...]:
+    found = sizes_of_sets(now, folder / sets, sets)
+    sizes = (str(size) for each in found for size in each)
+    return (f"`{sets}`", *sizes, *[""] * (len(FURTHER) if len(found) == 1 else 0))
 
 
 def main() -> None:
