@@ -149,3 +149,29 @@ def test_a_check_finds_what_a_set_lacks(pqsec, k):
     done = pqsec("check k")
     assert done.code == 1
     assert "PQS010 is missing; k has it" in done.out
+
+
+# What stock stacks get
+
+
+@pytest.mark.parametrize("version", ["2.14.4", "3.0.2", "3.1.2", "3.2.0"])
+def test_a_fast_dds_that_cannot_send_large_messages_is_given_the_first_set(pqsec, k, version):
+    del k
+    line = f"-k k export fastdds /talker /listener --stack-version {version} -o out --json"
+    first, second = pqsec(line).done().json["exports"]
+    assert (first["warnings"], second["warnings"]) == ([], [])
+    pqsec("-k t ca init --profile transition --no-passphrase").done()
+    pqsec("-k t issue /talker --publish chatter").done()
+    pqsec(f"-k t export fastdds /talker --stack-version {version}").refused(1, "8192")
+
+
+def test_a_first_set_that_stock_stacks_cannot_read_is_told_with_the_way_out(pqsec):
+    pqsec("-k p ca init --profile pq,classical --no-passphrase").done()
+    pqsec("-k p issue /talker --publish chatter").done()
+    done = pqsec("-k p export cyclonedds /talker")
+    done.refused(1, "stock stacks see only the first set of credentials")
+    assert "ca init --profile classical,pq" in done.err
+    pqsec("-k p export cyclonedds /talker --anyway")
+    told = pqsec("-k p try ros2 --dry-run /talker")
+    assert told.code == 1
+    assert "only the first set" in told.out
