@@ -26,14 +26,14 @@ from pqsec_pki.documents import DomainRange, DomainSet, Governance
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Decryptable:
-    """Topics of one participant, whose samples can be decrypted later, for all their readers."""
+    """Topics whose samples can be decrypted later, for all their readers."""
 
-    sender: str
+    senders: tuple[str, ...]
+    """Those that may publish, if what they send can be decrypted."""
     receivers: tuple[str, ...]
     """All that may subscribe, also those that are not stock."""
     stock: tuple[str, ...]
-    """The stock participants by which the keys are known: the sender itself, or some that get
-    them."""
+    """The stock participants that get the keys; empty if the senders are stock themselves."""
     domains: DomainSet
     where: str
     """The partitions in words; empty for the default partition."""
@@ -43,7 +43,7 @@ class Decryptable:
     def to_json(self) -> dict[str, object]:
         """The fields."""
         return {
-            "from": self.sender,
+            "from": list(self.senders),
             "to": list(self.receivers),
             "stock": list(self.stock),
             "domains": str(self.domains),
@@ -96,10 +96,10 @@ def decryptable_later(
 
 
 class _One(NamedTuple):
-    """One topic of one sender, on domains that the governance treats alike."""
+    """One topic of some senders, on domains that the governance treats alike."""
 
-    who: tuple[str, tuple[str, ...], tuple[str, ...], str]
-    """Sender, receivers, stock participants, and partitions in words."""
+    who: tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...], str]
+    """Senders, receivers, stock participants, and partitions in words."""
     topic: str
     domains: DomainRange
 
@@ -136,13 +136,12 @@ def _of_topic(
     row = placed.row
     for part in _parts(governance, placed.domains) if row.subscribers else ():
         protection = _protection(governance, part.first, row.topic)
-        for sender in row.publishers if protection else ():
-            receivers = tuple(each for each in row.subscribers if each != sender)
-            getters = [receivers] if _encrypts_topic(protection) else []
-            getters += [joining.on(part.first)] if protection and protection.rtps.encrypts else []
-            by = [_known_by(sender, each, stock) for each in getters]
-            if receivers and by and all(by):
-                yield _One((sender, receivers, by[0], row.where), row.topic, part)
+        if protection is None:
+            continue
+        getters = [row.subscribers] if _encrypts_topic(protection) else []
+        getters += [joining.on(part.first)] if protection.rtps.encrypts else []
+        for senders, by in _known_by(row.publishers, row.subscribers, getters, stock):
+            yield _One((senders, row.subscribers, by, row.where), row.topic, part)
 
 
 def _parts(governance: Governance, domains: DomainSet) -> Iterator[DomainRange]:
@@ -159,18 +158,30 @@ def _protection(governance: Governance, domain: int, topic: str) -> Protection |
     return None
 
 
-def _encrypts_topic(protection: Protection | None) -> bool:
+def _encrypts_topic(protection: Protection) -> bool:
     """Whether only readers of the topic get the key of its samples."""
-    kinds = (protection.data, protection.metadata) if protection else ()
-    return any(kind and kind.encrypts for kind in kinds)
+    return any(kind and kind.encrypts for kind in (protection.data, protection.metadata))
 
 
-def _known_by(sender: str, getters: Iterable[str], stock: frozenset[str]) -> tuple[str, ...]:
-    """By which stock participants a key is known that `sender` gives to `getters`."""
-    others = [each for each in getters if each != sender]
-    if sender in stock and others:
-        return (sender,)
-    return tuple(each for each in others if each in stock)
+def _known_by(
+    senders: Iterable[str],
+    receivers: tuple[str, ...],
+    getters: Sequence[Sequence[str]],
+    stock: frozenset[str],
+) -> Iterator[tuple[tuple[str, ...], tuple[str, ...]]]:
+    """Senders of which each key is known, and by which stock participants that get them.
+
+    `getters` are, for each key that the samples are encrypted with, those that get it.
+    """
+    if not getters:
+        return
+    sending = [each for each in senders if (each,) != receivers]
+    getting = [tuple(each for each in those if each in stock) for those in getters]
+    others = tuple(each for each in sending if each not in stock)
+    if others and all(getting):
+        yield others, getting[0]
+    if own := tuple(each for each in sending if each in stock):
+        yield own, ()
 
 
 def _together(found: Iterable[_One], known: Sequence[str]) -> list[Decryptable]:
@@ -183,16 +194,16 @@ def _together(found: Iterable[_One], known: Sequence[str]) -> list[Decryptable]:
         topics.setdefault((who, domain_set(list(domains))), []).append(topic)
     rows = (
         Decryptable(
-            sender=sender,
+            senders=senders,
             receivers=receivers,
             stock=stock,
             where=where,
             domains=domains,
             topics=tuple(sorted(together)),
         )
-        for ((sender, receivers, stock, where), domains), together in topics.items()
+        for ((senders, receivers, stock, where), domains), together in topics.items()
     )
-    return sorted(rows, key=attrgetter("sender", "where", "topics"))
+    return sorted(rows, key=attrgetter("senders", "where", "topics"))
 
 
 def _said(topic: str, known: Sequence[str]) -> str:

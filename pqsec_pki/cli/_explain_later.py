@@ -56,9 +56,9 @@ def decryptable(
 def _of(who: str, question: Question, rows: Sequence[Decryptable]) -> Iterator[Decryptable]:
     """The rows about that right of a participant, with its topic alone."""
     for each in rows:
-        if question.action is Action.JOIN and each.sender == who:
+        if question.action is Action.JOIN and who in each.senders:
             yield each
-        users = (each.sender,) if question.action is Action.PUBLISH else each.receivers
+        users = each.senders if question.action is Action.PUBLISH else each.receivers
         is_use = question.action in {Action.PUBLISH, Action.SUBSCRIBE}
         if is_use and who in users and question.topic in each.topics:
             yield replace(each, topics=(question.topic,))
@@ -69,11 +69,11 @@ def later_lines(rows: Sequence[Decryptable]) -> Iterator[str]:
     for each in rows:
         topics = ", ".join(printable(ros.said(topic)) for topic in each.topics)
         where = f", partitions {printable(each.where)}" if each.where else ""
-        stock = few(map(printable, each.stock))
-        why = f"stock {stock} gets its keys under ECDH"
-        if each.stock == (each.sender,):
-            why = "it is stock, and gives them its keys under ECDH"
+        senders, readers, getters = (
+            few(map(printable, names)) for names in (each.senders, each.receivers, each.stock)
+        )
+        why = f"stock {getters} gets the keys" if getters else "stock senders give the keys"
         yield (
-            f"later {printable(each.sender)}: {topics}, {each.domains.words}{where}, can be"
-            f" decrypted later for all readers ({few(map(printable, each.receivers))}): {why}"
+            f"later {senders}: {topics}, {each.domains.words}{where}, can be"
+            f" decrypted later for all readers ({readers}): {why} under ECDH"
         )

@@ -20,19 +20,19 @@ LATER = (
 @pytest.mark.parametrize(
     ("line", "words"),
     [
-        ("/talker --publish rt/chatter --stock /old", "stock /old gets its keys under ECDH"),
-        ("/talker --publish rt/chatter --stock '/o*'", "stock /old gets its keys under ECDH"),
+        ("/talker --publish rt/chatter --stock /old", "stock /old gets the keys under ECDH"),
+        ("/talker --publish rt/chatter --stock '/o*'", "stock /old gets the keys under ECDH"),
         (
             "/robot/new --subscribe rt/chatter --stock /old",
-            "stock /old gets its keys under ECDH",
+            "stock /old gets the keys under ECDH",
         ),
         (
             "/old --ros-subscribe /chatter --stock /talker",
-            "it is stock, and gives them its keys under ECDH",
+            "stock senders give the keys under ECDH",
         ),
         (
             "/talker --publish rt/chatter --stock /old --stock '/robot/**'",
-            "stock /old, /robot/new gets its keys under ECDH",
+            "stock /old, /robot/new gets the keys under ECDH",
         ),
     ],
 )
@@ -62,7 +62,7 @@ def test_a_topic_that_only_a_pattern_covers_is_named_itself(pqsec, k):
     line = "-k k explain /talker --publish rt/log/x --stock /robot/new --json"
     [found] = pqsec(line).done().json["decryptable_later"]
     assert found == {
-        "from": "/talker",
+        "from": ["/talker"],
         "to": ["/robot/new"],
         "stock": ["/robot/new"],
         "domains": "0",
@@ -75,8 +75,8 @@ def test_several_participants_are_told_together(pqsec, k):
     del k
     found = pqsec("-k k explain '/**' --join --stock /old --json").done().json["decryptable_later"]
     assert [(each["from"], each["topics"]) for each in found] == [
-        ("/talker", ["rt/chatter"]),
-        ("/talker", ["rt/own"]),
+        (["/talker"], ["rt/chatter"]),
+        (["/talker"], ["rt/own"]),
     ]
 
 

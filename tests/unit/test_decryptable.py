@@ -62,10 +62,15 @@ FLEET = [CAMERA, VIEWER, OLD]
 
 
 def found(*stock, members=FLEET, rules=None, now=NOW):
-    """(sender, topic) -> by which stock participants."""
+    """(sender, topic) -> by which stock participants; none if it is stock itself."""
     answer = decryptable_later(rules or governance(), members, stock, now=now)
     assert answer.complete
-    return {(each.sender, name): each.stock for each in answer.rows for name in each.topics}
+    return {
+        (sender, name): each.stock
+        for each in answer.rows
+        for sender in each.senders
+        for name in each.topics
+    }
 
 
 def test_nothing_is_decrypted_later_if_nobody_is_stock():
@@ -81,9 +86,9 @@ def test_a_stock_reader_opens_its_topic_and_no_other():
 def test_one_stock_reader_opens_the_topic_for_all_its_readers():
     both = [*FLEET, member("/new", subscribe=["status"])]
     [row] = decryptable_later(governance(), both, ["/old"], now=NOW).rows
-    assert (row.sender, row.receivers, row.stock) == ("/camera", ("/old", "/new"), ("/old",))
+    assert (row.senders, row.receivers, row.stock) == (("/camera",), ("/old", "/new"), ("/old",))
     assert row.to_json() == {
-        "from": "/camera",
+        "from": ["/camera"],
         "to": ["/old", "/new"],
         "stock": ["/old"],
         "domains": "0",
@@ -94,14 +99,34 @@ def test_one_stock_reader_opens_the_topic_for_all_its_readers():
 
 def test_a_stock_writer_opens_all_that_it_sends():
     assert found("/camera") == {
-        ("/camera", "image"): ("/camera",),
-        ("/camera", "status"): ("/camera",),
+        ("/camera", "image"): (),
+        ("/camera", "status"): (),
     }
 
 
-def test_what_has_no_reader_but_its_writer_is_sent_to_nobody():
-    alone = [member("/loop", publish=["x"], subscribe=["x"])]
-    assert found("/loop", members=alone) == {}
+@pytest.mark.parametrize("rtps", [SIGN, ENCRYPT])
+@pytest.mark.parametrize("stock", ["/loop", "/old"])
+def test_what_has_no_reader_but_its_writer_is_sent_to_nobody(rtps, stock):
+    members = [*FLEET, member("/loop", publish=["x"], subscribe=["x"])]
+    rules = governance(topic(data=NONE), rtps=rtps)
+    assert ("/loop", "x") not in found(stock, members=members, rules=rules)
+
+
+def test_stock_and_other_senders_of_one_topic_are_told_apart():
+    members = [member(name, publish=["x"], subscribe=["x"]) for name in ("/new", "/other", "/old")]
+    rows = decryptable_later(governance(), members, ["/old"], now=NOW).rows
+    names = ("/new", "/other", "/old")
+    assert [(each.senders, each.receivers, each.stock) for each in rows] == [
+        (("/new", "/other"), names, ("/old",)),
+        (("/old",), names, ()),
+    ]
+
+
+def test_a_large_fleet_has_one_row_for_all_that_are_alike():
+    names = [f"/robot{number}" for number in range(600)]
+    members = [member(name, publish=["x"], subscribe=["x"]) for name in names]
+    rows = decryptable_later(governance(), members, names[:1], now=NOW).rows
+    assert [(len(each.senders), len(each.receivers)) for each in rows] == [(1, 600), (599, 600)]
 
 
 @pytest.mark.parametrize("data", [NONE, SIGN, ENCRYPT])
@@ -189,8 +214,9 @@ def test_it_is_what_the_engine_decides_one_by_one(seed):
     }
     answer = decryptable_later(rules, members, stock, now=now)
     told = {
-        (each.sender, name)
+        (sender, name)
         for each in answer.rows
+        for sender in each.senders
         for name in each.topics
         if 0 in each.domains and not each.where
     }
