@@ -361,3 +361,16 @@ def test_the_largest_message_of_each_set_is_between_peers_of_its_profile(models)
             if each.enclave.name == "/talker"
         }
         assert abs(sizes[view.folder / "enclaves/talker"] - wanted) < 32
+
+
+@pytest.mark.parametrize(("number", "told"), [(9, None), (12, "messages of 12 participants")])
+def test_a_participant_with_two_sets_takes_the_memory_of_one_message(tmp_path, number, told):
+    names = [f"/robot{each}" for each in range(number)]
+    keystore = made(tmp_path / "many", "classical,hybrid", names=tuple(names))
+    for each in keystore.sets:
+        for path in (each.folder / "enclaves").glob("*/permissions.p7s"):
+            path.write_bytes(path.read_bytes() + bytes(250_000))  # only its size counts here
+    findings = check([keystore.root], now=NOW).findings
+    messages = [each.message for each in findings if each.rule.id == "PQS505"]
+    assert len(messages) == (told is not None)
+    assert not told or told in messages[0]
