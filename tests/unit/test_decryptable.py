@@ -175,6 +175,7 @@ def test_a_pattern_is_told_as_far_as_a_stock_reader_may():
         member("/camera", publish=["rt/*"]),
         member("/viewer", subscribe=["*"]),
         member("/old", subscribe=["rt/a*"]),
+        member("/other", publish=["somewhere/else/*"]),
     ]
     assert found("/old", members=members) == {("/camera", "rt/a*"): ("/old",)}
 

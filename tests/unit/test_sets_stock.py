@@ -13,6 +13,7 @@ from pqsec_pki.errors import KeystoreError, VerificationError
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import add_set, revoke
 from pqsec_pki.lint import check, largest_messages
+from pqsec_pki.plugin import LIBRARY, NAMES
 from pqsec_pki.selfcheck import STACKS as SIMULATED
 from pqsec_pki.selfcheck import verify_handshake
 from pqsec_pki.smime import signers_in
@@ -281,6 +282,15 @@ def test_a_ros_2_node_is_checked_with_the_first_set(models):
 def test_a_ros_2_node_cannot_run_with_a_first_set_for_pqsec_peers(models):
     found = problems(models("pq,classical"))
     assert "stock stacks see only the first set" in found["files"]
+
+
+def test_a_ros_2_node_with_the_plugin_is_not_taken_to_run_with_the_first_set(models, tmp_path):
+    (tmp_path / LIBRARY).write_bytes(b"")
+    (tmp_path / NAMES[0]).symlink_to(LIBRARY)
+    keystore = models("classical,hybrid")
+    variables = {**ros_node(keystore), "LD_LIBRARY_PATH": str(tmp_path)}
+    checks = {each.what: each for each in preflight(keystore, "/talker", variables, now=NOW)}
+    assert "further sets of credentials (hybrid)" in checks["files"].problem
 
 
 # What `pqsec check` says
