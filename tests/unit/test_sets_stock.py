@@ -220,6 +220,20 @@ def test_an_export_tells_that_a_participant_lacks_a_set(own, number, file):
             exported(Stack.CYCLONEDDS, keystore)
 
 
+@pytest.mark.parametrize("number", [0, 1])
+def test_an_export_tells_that_a_set_lacks_the_revocation_list(own, number):
+    keystore = own("classical,hybrid")
+    revoke(keystore, keystore.unlock(None), ["/listener"], now=NOW)
+    path = keystore.sets[number].revocation_list_path
+    path.unlink()
+    if number:
+        [warning] = exported(Stack.CYCLONEDDS, keystore).warnings
+        assert f"{path} is missing" in warning
+    else:
+        with pytest.raises((KeystoreError, VerificationError)):
+            exported(Stack.CYCLONEDDS, keystore)
+
+
 def test_an_export_tells_that_a_whole_set_is_gone(own):
     keystore = own("classical,hybrid")
     shutil.rmtree(keystore.root / "sets")
