@@ -42,6 +42,20 @@ def test_four_do_not():
 """
 
 
+LEFT_OPEN = """
+
+import socket
+
+
+def test_four_do_not():
+    held = {"socket": socket.socket()}
+    held["itself"] = held  # only the collector of cycles finds it
+    with pytest.raises(ValueError, match="4"):
+        enter(4)
+    held["socket"].close()
+"""
+
+
 STARTED = """\
 import subprocess
 import sys
@@ -114,6 +128,12 @@ def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
 
     killed = {"always": "killed", "never": "killed"}
     assert outcome(root) == (0, killed | {"boundary-1": "survived"})
+
+
+@pytest.mark.slow
+def test_what_a_failed_test_left_open_does_not_end_the_job(toy):
+    """pytest raises it as an error when it has ended: then no test looked as if it could run."""
+    assert outcome(toy(TESTED + LEFT_OPEN))[1]["never"] == "killed"
 
 
 @pytest.mark.slow
