@@ -145,7 +145,7 @@ class Run:
                     self._tell(mutant, NO_TEST)
                     continue
                 copy = free.pop()
-                copy.start(tests, mutant, self.measured.timeout(tests), "-x")
+                copy.start(self.measured.limits(tests), mutant, "-x")
                 running.append((copy, mutant))
             if not running:
                 return
@@ -172,7 +172,7 @@ class Run:
         key = "\n".join(tests)
         if key not in self._reliable:
             options = ("--collect-only",) if collect else ()
-            ran = copy.run(tests, None, self.measured.timeout(tests), *options)
+            ran = copy.run(self.measured.limits(tests), None, *options)
             self._reliable[key] = ran.code == 0
         return self._reliable[key]
 
@@ -253,7 +253,7 @@ def options() -> argparse.ArgumentParser:
 def measured(copy: Copy, files: list[str], kept: Path | None) -> Measured:
     """By running them, unless it is kept; the copy has their bytecode then."""
     if kept and kept.exists():
-        copy.run(files, None, MEASURING, "--collect-only")
+        copy.run(dict.fromkeys(files, MEASURING), None, "--collect-only")
         read = json.loads(kept.read_text())
         lines = {
             path: {int(line): tests for line, tests in found.items()}

@@ -148,7 +148,6 @@ def test_no_room_is_tried_with_tests_that_have_another_name_now():
     assert [each for each in patterns if not paths(ROOT, each)] == []
 
 
-@pytest.mark.slow
 def test_each_room_has_its_mutants_and_each_reason_is_for_one_of_them():
     found = mutants(ROOT)
     ids = {each.id for each in found}
