@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.__main__ import TESTS, paths
+from tests.mutants.__main__ import TESTS, paths, unjudged
 from tests.mutants.conditions import PACKAGE, ROOMS, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -121,6 +121,17 @@ def test_a_mutant_survives_without_its_test_and_fails_the_job(toy):
 
 
 @pytest.mark.slow
+def test_survivors_that_are_known_and_not_judged_yet_do_not_fail_the_job_and_others_do(toy):
+    root = toy(TESTED)
+    known = [each.id for each in mutants(root)]
+    (root / "tests/mutants/unjudged.txt").write_text("\n".join(known))
+    assert outcome(root)[0] == 0
+
+    (root / "tests/mutants/unjudged.txt").write_text("\n".join(known[:-1]))
+    assert outcome(root)[0] == 1
+
+
+@pytest.mark.slow
 def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
     root = toy(TESTED + REFUSED)
     [boundary] = [each.id for each in mutants(root) if each.kind == "boundary-1"]
@@ -155,6 +166,7 @@ def test_each_room_has_its_mutants_and_each_reason_is_for_one_of_them():
     assert {each.room for each in found} == set(ROOMS)
     reasons = tomllib.loads((ROOT / "tests/mutants/survivors.toml").read_text())
     assert set(reasons) <= ids
+    assert unjudged(ROOT) <= ids - set(reasons)
     for each in found[::100]:  # `.ci/long mutants` applies all
         source = (ROOT / each.path).read_bytes()
         assert each.applied(source) != source, each.id
