@@ -76,7 +76,7 @@ TESTS = {
         "bundle_proofs",
         "limits",
     ),
-    "plugin": ("plugin_*", "cli/test_plugin.py"),
+    "plugin": ("plugin_*", "bundle_proofs", "places", "cli/test_plugin.py"),
     "access": (
         "access",
         "amending",
