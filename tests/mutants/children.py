@@ -56,8 +56,8 @@ class Ran:
 class _Recorder:
     """A plugin of pytest."""
 
-    def __init__(self, *, measures: bool) -> None:
-        self._measures = measures
+    def __init__(self, deadline: Path, limits: dict[str, float], *, measures: bool) -> None:
+        self._deadline, self._limits, self._measures = deadline, limits, measures
         self.failed: str | None = None
         self.seconds: dict[str, float] = {}
         self.starting: set[str] = set()
@@ -77,6 +77,11 @@ class _Recorder:
                 with suppress(ModuleNotFoundError):  # those of ROS 2 are not there
                     importlib.import_module(each.name)
 
+    def pytest_runtest_logstart(self, nodeid: str) -> None:
+        if nodeid in self._limits:
+            end = time.time() + self._limits[nodeid]
+            os.utime(self._deadline, (end, end))
+
     def pytest_runtest_logreport(self, report) -> None:
         self.seconds[report.nodeid] = self.seconds.get(report.nodeid, 0.0) + report.duration
         if report.failed and self.failed is None:
@@ -90,7 +95,6 @@ class Copy:
     root: Path
     folder: Path
     _mutant: Mutant | None = None
-    _deadline: float = 0.0
     pid: int = 0
 
     @classmethod
@@ -112,10 +116,15 @@ class Copy:
         (packages / "copy.pth").write_text("\n".join(paths))
         return copy
 
-    def start(self, tests: list[str], mutant: Mutant | None, timeout: float, *options: str) -> None:
-        """Start a child that runs those tests with that mutant, for so many seconds at most."""
+    def start(self, tests: dict[str, float], mutant: Mutant | None, *options: str) -> None:
+        """Start a child that runs those tests with that mutant, each for so many seconds at most.
+
+        A test may be a file of tests, which may take so long until its first test.
+        """
         self._change(mutant)
-        self._deadline = time.monotonic() + timeout
+        self._deadline.touch()
+        end = time.time() + STARTING + max(tests.values())
+        os.utime(self._deadline, (end, end))
         self._answer.unlink(missing_ok=True)
         sys.stdout.flush()
         gc.freeze()
@@ -131,7 +140,7 @@ class Copy:
     def ended(self) -> Ran | None:
         """How the child ended; None while it runs. RuntimeError if it could not run tests."""
         done, status = os.waitpid(self.pid, os.WNOHANG)
-        if not done and time.monotonic() < self._deadline:
+        if not done and time.time() < self._deadline.stat().st_mtime:
             return None
         with suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)  # and what it started
@@ -142,9 +151,9 @@ class Copy:
             raise RuntimeError(f"no tests could be run:\n{self.log[-4000:]}")
         return Ran(**json.loads(self._answer.read_text())) if self._answer.exists() else NOT_ENDED
 
-    def run(self, tests: list[str], mutant: Mutant | None, timeout: float, *options: str) -> Ran:
+    def run(self, tests: dict[str, float], mutant: Mutant | None, *options: str) -> Ran:
         """Start it and wait."""
-        self.start(tests, mutant, timeout, *options)
+        self.start(tests, mutant, *options)
         while (ran := self.ended()) is None:
             time.sleep(0.05)
         return ran
@@ -159,6 +168,11 @@ class Copy:
     def _answer(self) -> Path:
         return self.folder / "answer.json"
 
+    @property
+    def _deadline(self) -> Path:
+        """A file whose date is the time after which the child hangs."""
+        return self.folder / "deadline"
+
     def _change(self, mutant: Mutant | None) -> None:
         for each in (self._mutant, mutant):
             if each is not None:
@@ -169,7 +183,7 @@ class Copy:
                 Path(cache_from_source(path)).unlink(missing_ok=True)
         self._mutant = mutant
 
-    def _child(self, tests: list[str], options: tuple[str, ...]) -> None:
+    def _child(self, tests: dict[str, float], options: tuple[str, ...]) -> None:
         os.setsid()
         resource.setrlimit(resource.RLIMIT_DATA, (MEMORY, MEMORY))
         os.chdir(self.folder)
@@ -190,11 +204,16 @@ class Copy:
         sys.dont_write_bytecode = self._mutant is not None
         if sys.dont_write_bytecode:
             os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-        recorder = _Recorder(measures=self._mutant is None)
+        recorder = _Recorder(self._deadline, tests, measures=self._mutant is None)
         pytest = importlib.import_module("pytest")
         own = ["-q", "-p", "no:cacheprovider", "-W", "ignore::pytest.PytestAssertRewriteWarning"]
         own += ["--basetemp", "tmp"]  # where others run tests too, each clears up what is in /tmp
-        code = pytest.main([*own, *options, *tests], plugins=[recorder])
+        try:
+            code = pytest.main([*own, *options, *tests], plugins=[recorder])
+        except Exception:  # of what the failed test left open, or a group of them
+            if recorder.failed is None:
+                raise
+            code = pytest.ExitCode.TESTS_FAILED
         sys.stdout.flush()
         found = recorder.starting  # tests, or files whose fixtures start it
         starting = [each for each in recorder.seconds if {each, each.partition("::")[0]} & found]
@@ -203,6 +222,8 @@ class Copy:
         os._exit(0)
 
 
+STARTING = 60.0
+"""Seconds until the first test runs, at most."""
 MEMORY = 4 << 30
 """Octets: a mutant whose loop has no end ends before the machine does."""
 BROKEN = 70
@@ -229,7 +250,7 @@ class Measured:
         measured = cls()
         for file in files:
             options = (f"--cov={PACKAGE}", "--cov-context=test", "--cov-report=", *NO_KILLS)
-            ran = copy.run([file], None, timeout, *options)
+            ran = copy.run({file: timeout}, None, *options)
             if ran.code != 0:
                 raise RuntimeError(f"{file} fails without a mutant:\n{copy.log[-4000:]}")
             measured.seconds |= ran.seconds
@@ -265,9 +286,16 @@ class Measured:
         order = {test: number for number, test in enumerate(self.seconds)}
         return sorted(found, key=lambda test: (seconds[test.partition("::")[0]], order[test]))
 
-    def timeout(self, tests: list[str]) -> float:
-        """Seconds after which these tests hang."""
-        return 60 + 10 * sum(self.seconds.get(test, 0.0) for test in tests)
+    def limits(self, tests: list[str]) -> dict[str, float]:
+        """Seconds after which each of these tests hangs, by the slowest one of its file.
+
+        That one may have prepared what the others use.
+        """
+        slowest: dict[str, float] = {}
+        for test, seconds in self.seconds.items():
+            file = test.partition("::")[0]
+            slowest[file] = max(slowest.get(file, 0.0), seconds)
+        return {test: 30 + 5 * slowest.get(test.partition("::")[0], 0.0) for test in tests}
 
 
 def warm() -> None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.mutants.__main__ import TESTS, paths
+from tests.mutants.__main__ import TESTS, paths, unjudged
 from tests.mutants.conditions import PACKAGE, ROOMS, mutants
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,6 +39,20 @@ REFUSED = """
 def test_four_do_not():
     with pytest.raises(ValueError, match="4"):
         enter(4)
+"""
+
+
+LEFT_OPEN = """
+
+import socket
+
+
+def test_four_do_not():
+    held = {each: socket.socket() for each in ("one", "other")}
+    held["itself"] = held  # only the collector of cycles finds them
+    with pytest.raises(ValueError, match="4"):
+        enter(4)
+    held["one"].close(), held["other"].close()
 """
 
 
@@ -107,6 +121,17 @@ def test_a_mutant_survives_without_its_test_and_fails_the_job(toy):
 
 
 @pytest.mark.slow
+def test_survivors_that_are_known_and_not_judged_yet_do_not_fail_the_job_and_others_do(toy):
+    root = toy(TESTED)
+    known = [each.id for each in mutants(root)]
+    (root / "tests/mutants/unjudged.txt").write_text("\n".join(known))
+    assert outcome(root)[0] == 0
+
+    (root / "tests/mutants/unjudged.txt").write_text("\n".join(known[:-1]))
+    assert outcome(root)[0] == 1
+
+
+@pytest.mark.slow
 def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
     root = toy(TESTED + REFUSED)
     [boundary] = [each.id for each in mutants(root) if each.kind == "boundary-1"]
@@ -114,6 +139,12 @@ def test_a_mutant_is_killed_by_its_test_and_a_survivor_may_have_a_reason(toy):
 
     killed = {"always": "killed", "never": "killed"}
     assert outcome(root) == (0, killed | {"boundary-1": "survived"})
+
+
+@pytest.mark.slow
+def test_what_a_failed_test_left_open_does_not_end_the_job(toy):
+    """pytest raises it as an error when it has ended: then no test looked as if it could run."""
+    assert outcome(toy(TESTED + LEFT_OPEN))[1]["never"] == "killed"
 
 
 @pytest.mark.slow
@@ -128,7 +159,6 @@ def test_no_room_is_tried_with_tests_that_have_another_name_now():
     assert [each for each in patterns if not paths(ROOT, each)] == []
 
 
-@pytest.mark.slow
 def test_each_room_has_its_mutants_and_each_reason_is_for_one_of_them():
     found = mutants(ROOT)
     ids = {each.id for each in found}
@@ -136,6 +166,7 @@ def test_each_room_has_its_mutants_and_each_reason_is_for_one_of_them():
     assert {each.room for each in found} == set(ROOMS)
     reasons = tomllib.loads((ROOT / "tests/mutants/survivors.toml").read_text())
     assert set(reasons) <= ids
+    assert unjudged(ROOT) <= ids - set(reasons)
     for each in found[::100]:  # `.ci/long mutants` applies all
         source = (ROOT / each.path).read_bytes()
         assert each.applied(source) != source, each.id

@@ -33,6 +33,7 @@ from pqsec_pki.plugin.calls import WORKING
 from pqsec_pki.plugin.connection import Connection
 from pqsec_pki.plugin.control import Client
 from pqsec_pki.plugin.lists import MAX_CAS, NewestLists
+from pqsec_pki.plugin.octets import MessageWriter
 from pqsec_pki.plugin.shared_lists import ListStore, exchange_through
 from pqsec_pki.plugin.worker import FAIR, AgentWorker
 from tests.unit.keystores import DAY, NOW, made
@@ -349,6 +350,24 @@ def test_lists_are_shared_between_equal_demands_only_and_the_latest_cas(two_work
     assert len(store._newest) == MAX_CAS
     assert len(list(Path("/proc/self/fd").iterdir())) <= before + MAX_CAS
     assert other.exchange(issuer, None).number == newer.number
+
+
+def test_the_agent_keeps_one_file_of_a_ca_and_closes_the_older_one(three_lists):
+    """Each worker shows a list that is newer than the one it knows, and two may do so at once."""
+    store, (ours, theirs) = ListStore(), channel.pair()
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    with ours, theirs:
+        for number in (2, 3, 2):  # the first one, one that is newer, and one that is older
+            question = MessageWriter()
+            question.raw(bytes(32))
+            question.raw(number.to_bytes(32, "little"))
+            file = os.memfd_create("list")
+            channel.put(theirs, question, file)
+            os.close(file)
+            store.answer(ours, *channel.take(ours))
+            assert len(list(Path("/proc/self/fd").iterdir())) == before + 1
+        store.close()
+        assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_a_worker_whose_agent_has_ended_takes_no_list(three_lists):
