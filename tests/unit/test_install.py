@@ -674,6 +674,19 @@ def test_a_disk_that_refuses_leaves_what_was_there(robot, bundles, place, code):
     at_calls(*(robot, place, lambda goal: put(goal, "2"), ends_well(bundles)), ends=refused)
 
 
+def test_a_file_system_without_links_is_refused_before_anything_is_made(robot, monkeypatch):
+    """As exFAT does; in test_no_links.py the command finds none."""
+
+    def refused(*_arguments, **_options):
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    before = snapshot(robot)
+    monkeypatch.setattr(os, "symlink", refused)
+    with pytest.raises(FileError, match="has a file system without links"):
+        put(robot)
+    assert snapshot(robot) == before
+
+
 @pytest.mark.parametrize("force", [False, True])
 def test_killed_at_any_instant_a_request_is_whole_or_absent(place, force):
     profile = profile_named("transition")
