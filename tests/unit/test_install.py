@@ -44,6 +44,7 @@ from pqsec_pki.errors import (
 from pqsec_pki.keystore import Keystore, audit
 from pqsec_pki.lifecycle import Renewal, Rollover, Scope, renew, renew_list, revoke
 from pqsec_pki.problems import Code
+from pqsec_pki.tokens import reference_to
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import begin_overlap, made, rotate
 from tests.unit.killing import NOW, disturbed_calls, fails_with, survives
@@ -316,6 +317,16 @@ def test_a_key_that_is_not_the_certificates_is_refused(robot, key):
     )
     with pytest.raises(VerificationError, match="no private key here matches the certificate"):
         put(robot)
+
+
+def test_a_token_that_cannot_be_used_is_not_told_as_a_bundle_for_another_robot(robot):
+    """As one that is not plugged in, where nothing is known of its key."""
+    (robot / "requests/fleet+robot1/key.pem").write_bytes(reference_to("pkcs11:token=away;id=%01"))
+    with pytest.raises(PqsecError) as caught:
+        put(robot)
+    assert not isinstance(caught.value, VerificationError)
+    assert "matches the certificate" not in str(caught.value)
+    assert CredentialStore(robot).current is None
 
 
 def test_an_older_bundle_brings_no_old_rights_back(robot, bundles):
