@@ -26,6 +26,7 @@ validity: 90d
 roles: {robot: {publish: [rt$name/pose]}}
 participants:
   - {name: "/r{1..3}", role: robot, request: requests/}
+  - {name: /kept, role: robot}
 """
 AHEAD, TODAY = NOW + 40 * DAY, NOW + DAY
 
@@ -151,6 +152,22 @@ def test_what_was_renewed_at_the_ca_is_fetched_for_now(office):
     assert office.handler.keep_list()
     found = certificate_in(office.ask(CallKind.BUNDLE, now=TODAY, certificate=held.der))
     assert (found.spki, found.not_before) == (held.spki, TODAY - DAY)
+
+
+def test_keys_that_the_ca_made_have_no_request_that_is_answered_again(office):
+    """The robot is told what is wrong, until the CA renews it or its certificate begins."""
+    held = office.certificate("kept")
+    renew(office.keystore, office.keystore.unlock(None), ["/kept"], Renewal(rekey=True), now=AHEAD)
+    office.now = TODAY
+    office.handler.keep_list()
+    given, lines = office.certificate("kept"), len(office.keystore.ledger())
+    answer = office.ask(CallKind.BUNDLE, now=TODAY, certificate=held.der)
+    assert answer.status != 200
+    assert "the certificate of CN=/kept is not valid before" in answer.detail
+    begun = given.not_before + 2 * DAY
+    answer = office.ask(CallKind.BUNDLE, now=begun, certificate=held.der)
+    assert certificate_in(answer, "/kept").der == given.der
+    assert len(office.keystore.ledger()) == lines
 
 
 def test_where_only_plans_issue_a_certificate_of_the_future_is_not_issued_again(
