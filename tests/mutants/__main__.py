@@ -40,7 +40,7 @@ TESTS = {
         "clocks",
         "bundle_proofs",
     ),
-    "smime": ("smime", "smime_readers"),
+    "smime": ("smime", "smime_readers", "handshake_versions"),
     "certificates": (
         "certificates",
         "chains",

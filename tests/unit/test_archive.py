@@ -193,3 +193,10 @@ def test_a_manifest_that_says_something_else_than_texts_is_refused(value):
     for ask in (found.text, found.texts, found.time):
         with pytest.raises(MalformedError, match="the manifest lacks names"):
             ask("names")
+
+
+@pytest.mark.parametrize("text", ["yesterday", "2026-13-01", "0001-01-01T00:00:00+23:00"])
+def test_a_time_of_a_manifest_that_is_none_is_refused(text):
+    found = Archive.unpack(Archive("letter", {"created": text}, {}).pack(), "letter")
+    with pytest.raises(MalformedError, match="the manifest lacks created"):
+        found.time("created")

@@ -29,9 +29,11 @@ from pqsec_pki.lifecycle import (
 from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.server.list_keeping import keep_list
+from pqsec_pki.smime import Signer, document_in
 from pqsec_pki.transparency import LedgerProof
 from tests.unit.enrolling import with_files
 from tests.unit.keystores import DAY, NOW, begin_overlap, made, rotate
+from tests.unit.test_smime import SIGNING_TIME, attributes_over, signed_with
 
 MONTH, ROBOT = 30 * DAY, "/talker"
 KEEP = Renewal(rekey=False)
@@ -80,6 +82,22 @@ def test_a_governance_from_the_future_does_not_hold_up_the_first_revocation(keys
     assert done.future == ()
     [(_, files)] = CredentialStore(robot).current.enclaves.items()
     assert "crl.pem" in files
+
+
+def test_documents_without_a_signing_time_are_not_of_the_future(keystore, tmp_path):
+    """CMS does not demand it, and other signers leave it out."""
+    files, ca = bundle(keystore).enclaves[ROBOT], cas(keystore).permissions
+    signed = {}
+    for name in ("governance", "permissions"):
+        document = document_in(files[f"{name}.p7s"])
+        attributes = attributes_over(document)
+        del attributes[SIGNING_TIME]
+        signer = Signer(ca.certificate, ca.key)
+        signed[f"{name}_p7s"] = signed_with(
+            None, attributes.values(), document=document, signer=signer
+        )
+    done = put(tmp_path / "robot", with_files(bundle(keystore), ROBOT, **signed))
+    assert (done.names, done.future) == ((ROBOT,), ())
 
 
 @pytest.mark.parametrize("clock", [NOW, NOW - 20_000 * DAY])
@@ -324,6 +342,15 @@ def test_a_damaged_mark_is_an_error(keystore, tmp_path, change):
     change(value["marks"])
     with pytest.raises(KeystoreError, match="cannot be read"):
         TrustState.from_json(json.dumps(value).encode())
+
+
+def test_a_trust_state_counts_what_has_no_number_as_0(keystore, tmp_path):
+    """A mark of 0 was taken for damage, and the robot installed nothing more."""
+    put(tmp_path / "robot", bundle(keystore))
+    state = CredentialStore(tmp_path / "robot").trust_state
+    marks = Marks(lists=dict.fromkeys(state.marks.lists, 0), numbers={"governance.p7s ca": 0})
+    without = replace(state, marks=marks, receipts=0)
+    assert TrustState.from_json(without.to_json()) == without
 
 
 # The clock of the CA

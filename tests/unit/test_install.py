@@ -44,6 +44,7 @@ from pqsec_pki.errors import (
 from pqsec_pki.keystore import Keystore, audit
 from pqsec_pki.lifecycle import Renewal, Rollover, Scope, renew, renew_list, revoke
 from pqsec_pki.problems import Code
+from pqsec_pki.tokens import reference_to
 from tests.unit.enrolling import DAY, ROBOT, answered, asked_of, with_files
 from tests.unit.keystores import begin_overlap, made, rotate
 from tests.unit.killing import NOW, disturbed_calls, fails_with, survives
@@ -316,6 +317,16 @@ def test_a_key_that_is_not_the_certificates_is_refused(robot, key):
     )
     with pytest.raises(VerificationError, match="no private key here matches the certificate"):
         put(robot)
+
+
+def test_a_token_that_cannot_be_used_is_not_told_as_a_bundle_for_another_robot(robot):
+    """As one that is not plugged in, where nothing is known of its key."""
+    (robot / "requests/fleet+robot1/key.pem").write_bytes(reference_to("pkcs11:token=away;id=%01"))
+    with pytest.raises(PqsecError) as caught:
+        put(robot)
+    assert not isinstance(caught.value, VerificationError)
+    assert "matches the certificate" not in str(caught.value)
+    assert CredentialStore(robot).current is None
 
 
 def test_an_older_bundle_brings_no_old_rights_back(robot, bundles):
@@ -672,6 +683,19 @@ def test_a_disk_that_refuses_leaves_what_was_there(robot, bundles, place, code):
     put(robot)
     refused = partial(fails_with, code)
     at_calls(*(robot, place, lambda goal: put(goal, "2"), ends_well(bundles)), ends=refused)
+
+
+def test_a_file_system_without_links_is_refused_before_anything_is_made(robot, monkeypatch):
+    """As exFAT does; in test_no_links.py the command finds none."""
+
+    def refused(*_arguments, **_options):
+        raise PermissionError(errno.EPERM, os.strerror(errno.EPERM))
+
+    before = snapshot(robot)
+    monkeypatch.setattr(os, "symlink", refused)
+    with pytest.raises(FileError, match="has a file system without links"):
+        put(robot)
+    assert snapshot(robot) == before
 
 
 @pytest.mark.parametrize("force", [False, True])

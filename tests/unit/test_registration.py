@@ -234,6 +234,16 @@ def test_another_role_is_refused(line):
         line.order(grant, "/fleet/r1", role="other")
 
 
+def test_a_role_is_left_out_only_where_the_grant_has_one(line):
+    """Of several, the first of them was never a choice of who orders."""
+    with pytest.raises(UsageError, match="the grant has several roles") as caught:
+        line.order(line.grant(), "/fleet/r1", role=None)
+    assert caught.value.hint == "--role: robot, arm"
+    [name, *_] = roles = line.grant().roles
+    order = line.order(line.grant(roles={name: roles[name]}), "/fleet/r1", role=None)
+    assert [each.role for each in order.order.items] == [name]
+
+
 def test_a_certificate_that_is_valid_for_too_long_is_refused(line):
     grant = line.add()
     refused(line, line.order(grant, "/fleet/r1", validity=91 * DAY), "91 days were ordered, and 90")

@@ -10,13 +10,14 @@ from pqsec_pki.domain import read_domain
 from pqsec_pki.enrolment import Bundle, pins_in_use, request
 from pqsec_pki.est import EnrolmentToken
 from pqsec_pki.keystore import State, status
-from pqsec_pki.lifecycle import Renewal, renew, renew_list
+from pqsec_pki.lifecycle import Renewal, renew, renew_list, store_approvals
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.token_lines import record_token, token_states
 from pqsec_pki.server.waiting import WaitingRequests
 from pqsec_pki.server.waiting_folder import RequestFolder
+from tests.unit.approving import make_key
 from tests.unit.domains import DAY, NOW, Scene
 
 FILE = """
@@ -25,6 +26,7 @@ validity: 90d
 roles: {robot: {publish: [rt$name/pose]}}
 participants:
   - {name: "/r{1..3}", role: robot, request: requests/}
+  - {name: /kept, role: robot}
 """
 AHEAD, TODAY = NOW + 40 * DAY, NOW + DAY
 
@@ -110,6 +112,18 @@ def test_the_request_of_the_night_is_answered_again(office, night):
     assert office.state() is State.VALID
 
 
+def test_of_two_copies_of_it_at_once_one_is_issued_for(office, night):
+    """Each would have had a certificate of its own, and one of the two robots an old one."""
+    held, asked = night
+    office.now, lines = TODAY, len(office.keystore.ledger())
+    call = SignerCall(kind=CallKind.REQUEST, certificate=held.der, body=asked.der)
+    first, second = office.handler.answers([call, call])
+    assert certificate_in(first).der == office.certificate().der
+    assert (second.status, second.retry_after) == (503, 1)
+    assert second.detail == "another request for the same is being answered"
+    assert len(office.keystore.ledger()) == lines + 2  # a certificate and permissions
+
+
 def test_another_request_is_answered_too(office, night):
     held, _ = night
     asked = office.new("r1")
@@ -138,6 +152,42 @@ def test_what_was_renewed_at_the_ca_is_fetched_for_now(office):
     assert office.handler.keep_list()
     found = certificate_in(office.ask(CallKind.BUNDLE, now=TODAY, certificate=held.der))
     assert (found.spki, found.not_before) == (held.spki, TODAY - DAY)
+
+
+def test_keys_that_the_ca_made_have_no_request_that_is_answered_again(office):
+    """The robot is told what is wrong, until the CA renews it or its certificate begins."""
+    held = office.certificate("kept")
+    renew(office.keystore, office.keystore.unlock(None), ["/kept"], Renewal(rekey=True), now=AHEAD)
+    office.now = TODAY
+    office.handler.keep_list()
+    given, lines = office.certificate("kept"), len(office.keystore.ledger())
+    answer = office.ask(CallKind.BUNDLE, now=TODAY, certificate=held.der)
+    assert answer.status != 200
+    assert "the certificate of CN=/kept is not valid before" in answer.detail
+    begun = given.not_before + 2 * DAY
+    answer = office.ask(CallKind.BUNDLE, now=begun, certificate=held.der)
+    assert certificate_in(answer, "/kept").der == given.der
+    assert len(office.keystore.ledger()) == lines
+
+
+def test_where_only_plans_issue_a_certificate_of_the_future_is_not_issued_again(
+    office, night, tmp_path
+):
+    """The robot is told what is wrong until a plan renews it, or until its certificate begins."""
+    held, asked = night
+    make_key(tmp_path, "alice")
+    office.change("roles:", "approvals: {required: 1, of: {alice: alice.pub.pem}}\nroles:")
+    policy = read_domain(office.file).approvals
+    store_approvals(office.keystore, office.keystore.unlock(None), policy, now=TODAY)
+    given, lines = office.certificate(), len(office.keystore.ledger())
+    for kind, body in ((CallKind.REQUEST, asked.der), (CallKind.BUNDLE, b"")):
+        call = {"certificate": held.der, "body": body}
+        answer = office.ask(kind, now=TODAY, **call)
+        assert answer.status != 200
+        assert "the certificate of CN=/r1 is not valid before" in answer.detail
+        begun = given.not_before + 2 * DAY
+        assert certificate_in(office.ask(kind, now=begun, **call)).der == given.der
+    assert len(office.keystore.ledger()) == lines
 
 
 def test_the_one_before_renews_until_the_new_one_begins(office, night):

@@ -34,14 +34,16 @@ from pqsec_pki.smime import (
     Signer,
     document_in,
     is_signed,
+    joined,
+    parts_of,
     sign,
     signers_in,
     verify,
 )
-from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE, to_der
+from pqsec_pki.smime._ber import MAX_CHILDREN, MAX_DEPTH, MAX_SIZE, limit_values, to_der
 from pqsec_pki.smime._mime import MAX_MESSAGE, content_of
 from pqsec_pki.smime._signer_info import COUNTERSIGNATURE, make
-from pqsec_pki.smime.document import MAX_COUNTERSIGNATURES
+from pqsec_pki.smime.document import MAX_CARRIED, MAX_CARRIED_VALUES, MAX_COUNTERSIGNATURES
 from tests.unit import signers
 
 NOW = datetime(2026, 11, 21, 12, tzinfo=UTC)
@@ -519,6 +521,13 @@ def test_attributes_signed_by_hand_verify(lab):
     lab.verify(signed_with(lab, attributes_over().values()))
 
 
+def test_a_number_is_signed_with_the_document(lab):
+    """Robots order documents by it."""
+    for number in (None, 7):
+        [found] = lab.verify(lab.sign(number=number)).signatures
+        assert found.number == number
+
+
 def test_a_signing_time_may_be_missing(lab):
     attributes = attributes_over()
     del attributes[SIGNING_TIME]
@@ -830,7 +839,8 @@ def test_ber_with_very_many_parts_is_refused():
 
 
 def test_a_document_that_is_not_signed_is_refused_with_the_way_out(lab):
-    for text in (DOCUMENT, b"\n\n", b"Content-Type: text/plain\n\nhello"):
+    header = b"Content-Type: multipart/signed; boundary=x\n"
+    for text in (DOCUMENT, b"\n\n", b"Content-Type: text/plain\n\nhello", header):
         with pytest.raises(VerificationError, match="not an S/MIME signed document") as caught:
             lab.verify(text)
         assert "pqsec sign" in caught.value.hint
@@ -989,6 +999,27 @@ def test_everything_that_is_wrong_is_said(lab):
 def test_a_signer_prints_nothing_of_its_key(lab):
     assert "Key(" not in repr(lab.main)
     assert lab.main.key.raw.hex() not in repr(lab.main)
+
+
+# What a handshake carries
+
+
+def test_a_larger_cms_structure_than_is_carried_is_refused(lab):
+    cms, document = parts_of(lab.sign())
+    assert parts_of(joined(cms, document)) == (cms, document)
+    with pytest.raises(MalformedError, match=f"larger than {MAX_CARRIED} bytes"):
+        joined(bytes(MAX_CARRIED + 1), document)
+    with pytest.raises(MalformedError, match=f"more than {MAX_CARRIED_VALUES} values"):
+        joined(bytes(MAX_CARRIED), document)
+
+
+def test_a_cms_structure_with_more_values_than_are_carried_is_refused(lab):
+    """Each is counted, however deep, before any is converted."""
+    limit_values(b"\x05\0" * 7, 7)
+    limit_values(b"\x30\x04\x30\x02\x05\0" + b"\x04\x03abc", 4)
+    for data, most in ((b"\x05\0" * 8, 7), (b"\x30\x04\x30\x02\x05\0" + b"\x04\x03abc", 3)):
+        with pytest.raises(MalformedError, match=f"more than {most} values"):
+            limit_values(data, most)
 
 
 # What OpenSSL streams
