@@ -111,7 +111,7 @@ def _ask(removed: Sequence[str]) -> None:
 
 @_help.command(
     examples={
-        "Return to the set before the last bundle, which is older": "pqsec rollback --older",
+        "Return to what was installed before the last bundle, which is older": "pqsec rollback --older",
     },
     exit_codes={
         0: "restored",
@@ -132,4 +132,4 @@ def rollback(folder: Path, *, older: bool) -> None:
     """
     earlier = roll_back(folder, now=_settings.now(), older=older, pin=_passphrases.pin)
     value = {"current": earlier.path, "installed_at": earlier.at}
-    _printing.emit(value, [f"restored the set that was installed {said(earlier.at)}  {folder}"])
+    _printing.emit(value, [f"restored what was installed {said(earlier.at)}  {folder}"])

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle_file import BundleFile, write_bundles
     from pqsec_pki.enrolment.credential_store import (
         CredentialStore,
-        InstalledSet,
+        Installation,
         changing,
         is_credential_store,
         one_command,
@@ -66,7 +66,7 @@ __all__ = [
     "CredentialStore",
     "ImportedReceipt",
     "Installed",
-    "InstalledSet",
+    "Installation",
     "IssuedBundle",
     "Pins",
     "Requested",

@@ -1,18 +1,18 @@
-"""What a robot trusts: as saved, or derived from the set that is installed."""
+"""What a robot trusts: as saved, or derived from what is installed."""
 
 from collections.abc import Collection, Mapping
 
 from pqsec_pki.credentials import KEYS, PROOF, Credentials, verify_logged
-from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledSet
+from pqsec_pki.enrolment.credential_store import CredentialStore, Installation
 from pqsec_pki.enrolment.trust import Pins, TrustState, pins_in
 from pqsec_pki.errors import PqsecError, located
 from pqsec_pki.transparency import LedgerProof, TreeHead
 
 
 def trust_state(
-    store: CredentialStore, before: InstalledSet | None, *, needed: bool
+    store: CredentialStore, before: Installation | None, *, needed: bool
 ) -> TrustState | None:
-    """The saved trust state, or, if an older pqsec installed the set, one derived from that set.
+    """The saved trust state, or, if there is none, one derived from what is installed.
 
     None if nothing is installed, or if it cannot be read and is not `needed`.
     """
@@ -45,7 +45,7 @@ def raised(
     return (state or TrustState.of_new_store(pins)).after(credentials, pins, heads)
 
 
-def heads_in(found: InstalledSet, credentials: Collection[Credentials]) -> dict[str, TreeHead]:
+def heads_in(found: Installation, credentials: Collection[Credentials]) -> dict[str, TreeHead]:
     """The head in each installed proof, by participant; errors as of `verify_logged`."""
     heads = {}
     for each in credentials:
@@ -57,7 +57,7 @@ def heads_in(found: InstalledSet, credentials: Collection[Credentials]) -> dict[
     return heads
 
 
-def credentials_in(found: InstalledSet) -> list[Credentials]:
+def credentials_in(found: Installation) -> list[Credentials]:
     """The installed credentials, read but not verified."""
     with located(found.path):
         return [

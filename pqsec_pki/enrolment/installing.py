@@ -10,12 +10,12 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
 from pqsec_pki.enrolment._installed_trust import raised, trust_state
-from pqsec_pki.enrolment._next_set import NextSet
+from pqsec_pki.enrolment._next_installation import NextInstallation
 from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import (
     CURRENT,
     CredentialStore,
-    InstalledSet,
+    Installation,
     changing,
 )
 from pqsec_pki.enrolment.requesting import SEALING_KEY
@@ -45,7 +45,7 @@ class Installed:
     not_after: datetime
     """The time at which the first of its certificates expires."""
     current: Path
-    """The link to the current set."""
+    """The link to the current installation."""
     already: bool
     """Whether the same files were installed already, so only the receipt was written again."""
     bundle: int | None
@@ -109,7 +109,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         newer = replace(raised(state, found.credentials, trusted, found.heads), proofs=proofs)
         if not older:
             _refuse_older(found, newer, state, _instead(state, trusted, root))
-        made = NextSet.of(bundle, found, store, before=before, alone=alone, pin=pin)
+        made = NextInstallation.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
         answered = {name: made.enclaves[name] for name in bundle.names}
         store.tidy(answered)  # also removes what a killed installation left
@@ -134,12 +134,12 @@ def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
         return _besides(store.current, names)
 
 
-def _besides(before: InstalledSet | None, names: Collection[str]) -> tuple[str, ...]:
+def _besides(before: Installation | None, names: Collection[str]) -> tuple[str, ...]:
     """The installed participants, sorted, apart from `names`."""
     return tuple(sorted((before.enclaves if before else {}).keys() - set(names)))
 
 
-def _refuse_unasked(before: InstalledSet | None, bundle: Bundle, agreed: Collection[str]) -> None:
+def _refuse_unasked(before: Installation | None, bundle: Bundle, agreed: Collection[str]) -> None:
     """KeystoreError if others would be removed: they were installed since the question."""
     others = [each for each in _besides(before, bundle.names) if each not in agreed]
     if others:
@@ -186,7 +186,7 @@ def _no_cas() -> UsageError:
 
 
 def _verified(
-    bundle: Bundle, pins: Pins, before: InstalledSet | None, now: datetime, *, proofs: bool
+    bundle: Bundle, pins: Pins, before: Installation | None, now: datetime, *, proofs: bool
 ) -> VerifiedBundle:
     at = verification_time(bundle.credentials, before, now)
     try:

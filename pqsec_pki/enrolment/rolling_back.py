@@ -1,4 +1,4 @@
-"""Make the set that was installed before the current one again."""
+"""Make current again what was installed before."""
 
 from contextlib import suppress
 from datetime import datetime
@@ -7,7 +7,7 @@ from pathlib import Path
 from pqsec_pki._times import said
 from pqsec_pki.credentials import PROOF, missing_proof
 from pqsec_pki.enrolment._installed_trust import credentials_in, raised, trust_state
-from pqsec_pki.enrolment.credential_store import InstalledSet, changing
+from pqsec_pki.enrolment.credential_store import Installation, changing
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.trust import TrustState, pin_problems, pins_in
 from pqsec_pki.errors import KeystoreError, PqsecError, VerificationError
@@ -16,8 +16,8 @@ from pqsec_pki.tokens import Pin, stored_pin
 
 def rollback(
     root: Path, *, now: datetime, older: bool = False, pin: Pin = stored_pin
-) -> InstalledSet:
-    """Make the set before the current one current again.
+) -> Installation:
+    """Make the installation before the current one current again.
 
     KeystoreError if there is none, or it cannot be read. VerificationError if its CAs are not
     those trusted here, or if anything in it is older than the newest that was installed,
@@ -28,8 +28,8 @@ def rollback(
         if current is None:
             raise KeystoreError(f"nothing is installed in {root}")
         if current.previous is None or not (current.path.parent / current.previous).is_dir():
-            raise KeystoreError(f"{root} has no set from before {said(current.at)}")
-        earlier = store.set_named(current.previous)
+            raise KeystoreError(f"{root} has no installation from before {said(current.at)}")
+        earlier = store.installation_numbered(current.previous)
         state = trust_state(store, current, needed=not older)
         if state and not older:
             _refuse_rollback(earlier, state)
@@ -37,7 +37,7 @@ def rollback(
             seen = credentials_in(earlier)
             pins = pins_in(*(each.anchors for each in seen))
             if state is None:
-                with suppress(PqsecError):  # an unreadable set raises no marks
+                with suppress(PqsecError):  # an unreadable one raises no marks
                     seen += credentials_in(current)
             state = raised(state, seen, pins, {})
         state = state.with_next_receipt()
@@ -49,7 +49,7 @@ def rollback(
         return earlier
 
 
-def _refuse_rollback(earlier: InstalledSet, state: TrustState) -> None:
+def _refuse_rollback(earlier: Installation, state: TrustState) -> None:
     credentials = credentials_in(earlier)
     lacking = [name for name, files in earlier.enclaves.items() if PROOF not in files]
     problems = [missing_proof(name) for name in lacking if state.proofs]

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from pqsec_pki.credentials import Credentials
-from pqsec_pki.enrolment.credential_store import SETS, CredentialStore, is_credential_store
+from pqsec_pki.enrolment.credential_store import INSTALLED, CredentialStore, is_credential_store
 from pqsec_pki.problems import Problem
 from pqsec_pki.transparency import TreeHead
 
@@ -12,13 +12,15 @@ from pqsec_pki.transparency import TreeHead
 def head_problems(folder: Path, credentials: Credentials, head: TreeHead) -> Iterator[Problem]:
     """Why `head`, of a verified proof in an enclave's `folder`, is not the newest one seen there.
 
-    None outside of the current set of a robot. KeystoreError for a damaged trust state.
+    None outside of what is installed on a robot. KeystoreError for a damaged trust state.
     """
     place = folder.resolve()
-    for set_ in place.parents:
-        if set_.parent.name == SETS and is_credential_store(set_.parent.parent):
-            store = CredentialStore(set_.parent.parent)
+    for installation in place.parents:
+        if installation.parent.name == INSTALLED and is_credential_store(
+            installation.parent.parent
+        ):
+            store = CredentialStore(installation.parent.parent)
             current, state = store.current, store.trust_state
-            if state and current and current.path.resolve() == set_:
+            if state and current and current.path.resolve() == installation:
                 yield from state.marks.head_problems(credentials, head)
             return

@@ -1,4 +1,4 @@
-"""The trust state of a robot, which stays when one set of credentials replaces another.
+"""The trust state of a robot, which stays when one installation replaces another.
 
 Pins are the CAs that the robot trusts, each with its role. Marks are the largest numbers of the
 revocation list, the documents, the certificates and the ledger's head that were ever installed

@@ -286,7 +286,7 @@ def test_only_the_current_set_of_a_robot_is_compared_with_the_head_seen(fork, tm
     (robot / "trust.kept").rename(trust)
     current.unlink()
     assert problems() == []
-    current.symlink_to("sets/1")
+    current.symlink_to("installed/1")
     assert problems() == []
 
 

@@ -432,7 +432,7 @@ def test_new_keys_are_of_the_kinds_before(place, robot, profile):
 
 
 def test_a_token_that_is_not_there_is_told(server, enrolled):
-    [path] = enrolled.glob("sets/*/enclaves/fleet/robot1/key.pem")
+    [path] = enrolled.glob("installed/*/enclaves/fleet/robot1/key.pem")
     path.write_bytes(reference_to("pkcs11:token=t;object=k"))
     server.seen.clear()
     with pytest.raises(PqsecError, match="token"):
@@ -463,7 +463,7 @@ def ending_well(outside, robot, work):
         assert found == asked
     left = {each.name for each in robot.iterdir()}
     assert left == {
-        *("current", "sets", "requests", "trust.json", "installed.receipt", "server.json"),
+        *("current", "installed", "requests", "trust.json", "installed.receipt", "server.json"),
     }
 
 

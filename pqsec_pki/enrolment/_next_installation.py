@@ -1,4 +1,4 @@
-"""The set of files that an installation makes the current one."""
+"""The files that an installation makes the current ones."""
 
 from collections.abc import Mapping
 from datetime import datetime
@@ -7,7 +7,7 @@ from typing import Self
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import KEYS, PROOF, REVOCATION_LIST, VerifiedCredentials
 from pqsec_pki.enrolment.bundle import Bundle
-from pqsec_pki.enrolment.credential_store import CredentialStore, Enclaves, InstalledSet
+from pqsec_pki.enrolment.credential_store import CredentialStore, Enclaves, Installation
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, keys_of
@@ -16,10 +16,10 @@ from pqsec_pki.tokens import Pin
 
 
 @dataclass(frozen=True, slots=True)
-class NextSet:
-    """The set that will be installed, and the set that is installed now."""
+class NextInstallation:
+    """What will be installed, and what is installed now."""
 
-    before: InstalledSet | None
+    before: Installation | None
     enclaves: dict[str, dict[str, bytes]]
     numbers: dict[str, int]
     pin: Pin
@@ -31,7 +31,7 @@ class NextSet:
         found: VerifiedBundle,
         store: CredentialStore,
         *,
-        before: InstalledSet | None,
+        before: Installation | None,
         alone: bool,
         pin: Pin,
     ) -> Self:
@@ -46,7 +46,7 @@ class NextSet:
         return cls(before, wanted, _numbers(before, bundle, wanted), pin)
 
     def put(self, store: CredentialStore, trust: TrustState, now: datetime) -> bool:
-        """Make it the current set, with its receipt.
+        """Make it the current installation, with its receipt.
 
         Whether the same files were installed already: then only trust and receipt are written.
         """
@@ -78,7 +78,7 @@ def _same(before: Enclaves, wanted: Enclaves) -> bool:
 
 
 def _others(
-    before: InstalledSet | None, bundle: Bundle, found: VerifiedBundle
+    before: Installation | None, bundle: Bundle, found: VerifiedBundle
 ) -> dict[str, dict[str, bytes]]:
     """The other installed participants; VerificationError for those of other CAs."""
     there = before.enclaves if before else {}
@@ -96,7 +96,7 @@ def _others(
 
 
 def _numbers(
-    before: InstalledSet | None, bundle: Bundle, wanted: Mapping[str, object]
+    before: Installation | None, bundle: Bundle, wanted: Mapping[str, object]
 ) -> dict[str, int]:
     """The number of the bundle from which each participant in `wanted` comes, if it has one."""
     kept = before.numbers if before else {}
