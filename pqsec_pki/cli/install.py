@@ -111,7 +111,9 @@ def _ask(removed: Sequence[str]) -> None:
 
 @_help.command(
     examples={
-        "Return to what was installed before the last bundle, which is older": "pqsec rollback --older",
+        "Return to what was installed before the last bundle, which is older": (
+            "pqsec rollback --older"
+        ),
     },
     exit_codes={
         0: "restored",

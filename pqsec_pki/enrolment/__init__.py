@@ -32,6 +32,7 @@ if TYPE_CHECKING:
         sign,
     )
     from pqsec_pki.enrolment.outbox import refresh
+    from pqsec_pki.enrolment.pins import Pins, pin_texts, pins_in_use, pins_of
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
     from pqsec_pki.enrolment.receipt_import import (
         ImportedReceipt,
@@ -51,7 +52,6 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
     from pqsec_pki.enrolment.seen_heads import head_problems
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
-    from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
     from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -65,8 +65,8 @@ __all__ = [
     "BundleFile",
     "CredentialStore",
     "ImportedReceipt",
-    "Installed",
     "Installation",
+    "Installed",
     "IssuedBundle",
     "Pins",
     "Requested",

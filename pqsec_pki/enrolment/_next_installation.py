@@ -6,12 +6,13 @@ from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import KEYS, PROOF, REVOCATION_LIST, VerifiedCredentials
-from pqsec_pki.enrolment.bundle import Bundle
-from pqsec_pki.enrolment.credential_store import CredentialStore, Enclaves, Installation
+from pqsec_pki.enrolment.bundle import Bundle, Enclaves
+from pqsec_pki.enrolment.credential_store import CredentialStore, Installation
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, keys_of
 from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.keystore import layout
 from pqsec_pki.tokens import Pin
 
 
@@ -20,7 +21,8 @@ class NextInstallation:
     """What will be installed, and what is installed now."""
 
     before: Installation | None
-    enclaves: dict[str, dict[str, bytes]]
+    sets: Mapping[str, Enclaves]
+    """The enclaves of each set of credentials."""
     numbers: dict[str, int]
     pin: Pin
 
@@ -39,11 +41,13 @@ class NextInstallation:
 
         VerificationError if others were issued by other CAs, or a private key is not there.
         """
-        keys = {each.name: _keys(each, bundle, store, pin) for each in found.verified}
         others = {} if alone else _others(before, bundle, found)
-        wanted = {name: {**files, **keys[name]} for name, files in found.files.items()}
-        wanted = dict(sorted({**others, **wanted}.items()))
-        return cls(before, wanted, _numbers(before, bundle, wanted), pin)
+        sets = dict[str, Enclaves]()
+        for place, verified in found.sets.items():
+            keys = {each.name: _keys(place, each, bundle, store, pin) for each in verified}
+            own = {name: {**each, **keys[name]} for name, each in found.files[place].items()}
+            sets[place] = dict(sorted({**others.get(place, {}), **own}.items()))
+        return cls(before, sets, _numbers(before, bundle, sets[layout.FIRST]), pin)
 
     def put(self, store: CredentialStore, trust: TrustState, now: datetime) -> bool:
         """Make it the current installation, with its receipt.
@@ -51,21 +55,28 @@ class NextInstallation:
         Whether the same files were installed already: then only trust and receipt are written.
         """
         trust = trust.with_next_receipt()
-        if self.before and _same(self.before.enclaves, self.enclaves):
+        if self.before and _same(self.before.sets, self.sets):
             store.trust(trust)
             store.save_receipt(self._receipt(trust, self.before.at, now))
             return True
         receipt = self._receipt(trust, now, now)
-        store.put(self.enclaves, trust, now, numbers=self.numbers, receipt=receipt)
+        store.put(self.sets, trust, now, numbers=self.numbers, receipt=receipt)
         return False
 
     def _receipt(self, trust: TrustState, installed_at: datetime, now: datetime) -> bytes:
         return receipt_of(
-            self.enclaves, self.numbers, trust, installed_at=installed_at, now=now, pin=self.pin
+            self.sets, self.numbers, trust, installed_at=installed_at, now=now, pin=self.pin
         )
 
 
-def _same(before: Enclaves, wanted: Enclaves) -> bool:
+def _same(before: Mapping[str, Enclaves], wanted: Mapping[str, Enclaves]) -> bool:
+    """Whether the files of all sets are the same."""
+    return before.keys() == wanted.keys() and all(
+        _same_enclaves(before[place], wanted[place]) for place in wanted
+    )
+
+
+def _same_enclaves(before: Enclaves, wanted: Enclaves) -> bool:
     """Whether the files are the same; another proof of the same documents is as good."""
     if any(
         PROOF in wanted[name] and PROOF not in before[name] for name in wanted if name in before
@@ -79,19 +90,26 @@ def _same(before: Enclaves, wanted: Enclaves) -> bool:
 
 def _others(
     before: Installation | None, bundle: Bundle, found: VerifiedBundle
-) -> dict[str, dict[str, bytes]]:
-    """The other installed participants; VerificationError for those of other CAs."""
-    there = before.enclaves if before else {}
-    others = {name: dict(files) for name, files in there.items() if name not in bundle.names}
-    if before and others and not _same_authorities(Bundle(before.at, others), bundle):
+) -> dict[str, dict[str, dict[str, bytes]]]:
+    """The other installed participants, by set; VerificationError for those of other CAs, or that
+    have not all sets of the bundle."""
+    others = {
+        place: {name: dict(files) for name, files in each.items() if name not in bundle.names}
+        for place, each in (before.sets if before else {}).items()
+    }
+    if not before or not any(others.values()):
+        return {}
+    if not _same_authorities(before, others, bundle):
+        names = ", ".join(sorted({name for each in others.values() for name in each}))
         raise VerificationError(
-            f"also installed: {', '.join(others)}, which were not issued by the bundle's CAs",
+            f"also installed: {names}, which were not issued by the bundle's CAs",
             hint="create a bundle for all of them with `pqsec bundle`, or remove them with --only",
         )
-    for files in found.files.values():
-        if REVOCATION_LIST in files:
-            for each in others.values():
-                each[REVOCATION_LIST] = files[REVOCATION_LIST]
+    for place, enclaves in found.files.items():
+        for files in enclaves.values():
+            if REVOCATION_LIST in files:
+                for each in others[place].values():
+                    each[REVOCATION_LIST] = files[REVOCATION_LIST]
     return others
 
 
@@ -104,18 +122,23 @@ def _numbers(
     return {name: number for name, number in known.items() if number is not None}
 
 
-def _same_authorities(one: Bundle, other: Bundle) -> bool:
-    """Whether both have the same CAs in the same files; False if one cannot be read."""
+def _same_authorities(before: Installation, others: Mapping[str, Enclaves], bundle: Bundle) -> bool:
+    """Whether each of `others` has the CAs of `bundle` in the same files, and is in each of its
+    sets; False if one cannot be read."""
+    names = others[layout.FIRST].keys()
+    further = {place: each for place, each in others.items() if place != layout.FIRST}
+    if any(each.keys() != names for each in further.values()):
+        return False
     try:
-        return one.roles == other.roles
+        return Bundle(before.at, others[layout.FIRST], further=further).roles == bundle.roles
     except PqsecError:
         return False
 
 
 def _keys(
-    verified: VerifiedCredentials, bundle: Bundle, store: CredentialStore, pin: Pin
+    place: str, verified: VerifiedCredentials, bundle: Bundle, store: CredentialStore, pin: Pin
 ) -> Mapping[str, bytes]:
-    """The private keys: from the bundle, or created or installed here before."""
+    """The private keys in a set: from the bundle, or created or installed here before."""
     name = verified.name
-    inside = {key: data for key, data in bundle.enclaves[name].items() if key in KEYS}
-    return keys_of(verified, [inside] if inside else store.keys(name), pin)
+    inside = {key: data for key, data in bundle.sets[place][name].items() if key in KEYS}
+    return keys_of(verified, [inside] if inside else store.keys(name, place), pin)

@@ -1,7 +1,8 @@
 """The credential store of a robot: its installations, and which one is current.
 
 current -> installed/3  what processes read; one rename changes all files at once
-installed/<n>/          enclaves/<path>/..., and installed.json: which one was current before
+installed/<n>/          enclaves/<path>/..., sets/<profile>/enclaves/<path>/... of each further set
+                        of credentials, and installed.json: which sets, and what was before
 installed.receipt       what is current, signed (receipt.py)
 requests/<name>/        key.pem [alt.key.pem] request.csr, until the answer is installed
 trust.json              the trusted CAs, the newest documents that were ever installed, and the
@@ -37,10 +38,11 @@ from pqsec_pki._files import (
 from pqsec_pki._places import refuse_outsiders
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS, PROOF
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, sweep
-from pqsec_pki.enrolment.bundle import flat_name, name_of
+from pqsec_pki.enrolment.bundle import Enclaves, flat_name, name_of
+from pqsec_pki.enrolment.pins import set_named
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, MalformedError, located, other_format
-from pqsec_pki.keystore import bundle_number
+from pqsec_pki.keystore import bundle_number, layout
 
 CURRENT, INSTALLED, REQUESTS = "current", "installed", "requests"
 RECORD = "installed.json"
@@ -48,11 +50,8 @@ RECEIPT = "installed.receipt"
 TRUST = "trust.json"
 _OWN = (INSTALLED, REQUESTS, CURRENT, TRUST, "bundle.key.pem", "server.json")
 """The store's own files: the folder may contain files of others."""
-FORMAT = 1
+FORMAT = 2
 _NUMBER = re.compile("[1-9][0-9]{0,8}")
-
-Enclaves = Mapping[str, Mapping[str, bytes]]
-"""Files by name, for each participant's name."""
 
 
 def is_credential_store(root: Path) -> bool:
@@ -72,12 +71,23 @@ class Installation:
     """The number of the installation that it replaced."""
     numbers: Mapping[str, int] = field(default_factory=dict)
     """The number of the bundle from which each participant came, where it had one."""
+    further: tuple[str, ...] = ()
+    """The further sets of credentials that were installed."""
 
     @property
     def enclaves(self) -> Enclaves:
-        """Its files; FileError if they cannot be read."""
-        root = self.path / ENCLAVES
-        folders = sorted(folder for folder, names in walk(root) if CERTIFICATE in names)
+        """The files of the first set; FileError if they cannot be read."""
+        return self._enclaves(layout.FIRST)
+
+    @property
+    def sets(self) -> dict[str, Enclaves]:
+        """The files of each set that was installed, the first one first; errors likewise."""
+        return {each: self._enclaves(each) for each in (layout.FIRST, *self.further)}
+
+    def _enclaves(self, place: str) -> Enclaves:
+        root = self.path / layout.in_set(place, ENCLAVES)
+        there = walk(root) if root.is_dir() else ()
+        folders = sorted(folder for folder, names in there if CERTIFICATE in names)
         return {f"/{each.relative_to(root).as_posix()}": _files_in(each) for each in folders}
 
 
@@ -135,22 +145,24 @@ class CredentialStore:
                 for name, value in record.get("bundles", {}).items()
                 if (number := bundle_number(value))
             }
-            return Installation(path, at, previous, numbers)
+            further = tuple(map(set_named, record["sets"]))
+            return Installation(path, at, previous, numbers, further)
         except (
             *(ValueError, KeyError, TypeError, AttributeError, RecursionError),
             MalformedError,
         ) as error:
             raise KeystoreError(f"{path / RECORD} cannot be read: {error}") from error
 
-    def keys(self, name: str) -> Iterator[Mapping[str, bytes]]:
-        """Files with keys for `name` that were created or installed here: of requests, then of
-        installations.
+    def keys(self, name: str, place: str = layout.FIRST) -> Iterator[Mapping[str, bytes]]:
+        """Files with keys for `name` in a set that were created or installed here: of requests,
+        then of installations.
 
         Empty if there are none.
         """
-        yield _files_in(self.request_folder(name))
+        yield _files_in(self.request_folder(name) / layout.in_set(place, ""))
+        enclave = layout.in_set(place, layout.enclave_folder(name))
         for each in sorted(self._numbers(), reverse=True):
-            yield _files_in(self.root / INSTALLED / str(each) / ENCLAVES / name.removeprefix("/"))
+            yield _files_in(self.root / INSTALLED / str(each) / enclave)
 
     @property
     def names(self) -> list[str]:
@@ -165,7 +177,7 @@ class CredentialStore:
 
     def put(
         self,
-        enclaves: Enclaves,
+        sets: Mapping[str, Enclaves],
         state: TrustState,
         now: datetime,
         *,
@@ -183,8 +195,9 @@ class CredentialStore:
             "at": now.isoformat(timespec="seconds"),
             "previous": before.path.name if before else None,
             "bundles": numbers,
+            "sets": [each for each in sets if each != layout.FIRST],
         }
-        draft = self._draft(enclaves, record)
+        draft = self._draft(sets, record)
         self.trust(state)
         name = str(max(self._numbers(), default=0) + 1)
         draft.rename(self.root / INSTALLED / name)
@@ -236,15 +249,16 @@ class CredentialStore:
         folder.rename(spent)
         shutil.rmtree(spent)
 
-    def _draft(self, enclaves: Enclaves, record: Mapping[str, object]) -> Path:
+    def _draft(self, sets: Mapping[str, Enclaves], record: Mapping[str, object]) -> Path:
         make_private(self.root / INSTALLED)
         draft = self.root / f"{DRAFT}{secrets.token_hex(8)}"
         make_private(draft)
-        for name, files in enclaves.items():
-            folder = draft / ENCLAVES / name.removeprefix("/")
-            make_private(folder)
-            for file, data in files.items():
-                create(folder / file, data, mode=PRIVATE_MODE if file in KEYS else PUBLIC_MODE)
+        for place, enclaves in sets.items():
+            for name, files in enclaves.items():
+                folder = draft / layout.in_set(place, layout.enclave_folder(name))
+                make_private(folder)
+                for file, data in files.items():
+                    create(folder / file, data, mode=PRIVATE_MODE if file in KEYS else PUBLIC_MODE)
         create(draft / RECORD, json.dumps(record, indent=2).encode() + b"\n", mode=PUBLIC_MODE)
         return draft
 

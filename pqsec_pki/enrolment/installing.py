@@ -9,8 +9,9 @@ from shlex import quote
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
-from pqsec_pki.enrolment._installed_trust import raised, trust_state
+from pqsec_pki.enrolment._installed_trust import raised, refuse_fewer_sets, trust_state
 from pqsec_pki.enrolment._next_installation import NextInstallation
+from pqsec_pki.enrolment.added_sets import with_added_sets
 from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import (
     CURRENT,
@@ -18,11 +19,12 @@ from pqsec_pki.enrolment.credential_store import (
     Installation,
     changing,
 )
+from pqsec_pki.enrolment.pins import Pins
 from pqsec_pki.enrolment.requesting import SEALING_KEY
 from pqsec_pki.enrolment.robot_clock import future_problems, verification_time
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
-from pqsec_pki.enrolment.trust import Marks, Pins, TrustState
+from pqsec_pki.enrolment.trust import Marks, TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 from pqsec_pki.errors import (
     KeystoreError,
@@ -30,6 +32,7 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
+from pqsec_pki.keystore import layout
 from pqsec_pki.problems import Problem
 from pqsec_pki.tokens import Pin, stored_pin
 
@@ -83,7 +86,8 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
 ) -> Installed:
     """Install a bundle, from a file or as its content, into the robot's folder `root`.
 
-    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here. On a
+    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here, and those
+    of sets of credentials for which they vouch. All sets that are installed must be in it. On a
     first installation `trust_first` trusts the CAs in the bundle. `older` accepts documents older
     than those installed before. Other installed participants stay, with the bundle's revocation
     list, unless `alone`. With `proofs` this bundle, and all later ones, must prove that the ledger
@@ -103,6 +107,8 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         if alone and agreed is not None:
             _refuse_unasked(before, bundle, agreed)
         state = trust_state(store, before, needed=not (pins and older))
+        if state:
+            refuse_fewer_sets(bundle.further, state)
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         proofs = proofs or bool(state and state.proofs)
         found = _verified(bundle, trusted, before, now, proofs=proofs)
@@ -111,7 +117,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
             _refuse_older(found, newer, state, _instead(state, trusted, root))
         made = NextInstallation.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
-        answered = {name: made.enclaves[name] for name in bundle.names}
+        answered = {name: made.sets[layout.FIRST][name] for name in bundle.names}
         store.tidy(answered)  # also removes what a killed installation left
         return _result(found, store, bundle, already=already, now=now)
 
@@ -167,11 +173,11 @@ def _opened(data: bytes, root: Path) -> bytes:
 def _pins(
     state: TrustState | None, pins: Pins | None, bundle: Bundle, *, trust_first: bool
 ) -> Pins:
-    """The CAs that are trusted, with their roles."""
+    """The CAs that are trusted, with their roles; errors as of `with_added_sets`."""
     if pins:
         return pins
     if state:
-        return state.pins
+        return with_added_sets(bundle, state.pins)
     if trust_first:
         return bundle.roles
     raise _no_cas()
@@ -235,7 +241,7 @@ def _result(
 ) -> Installed:
     future = (problem for each in found.credentials for problem in future_problems(each, now))
     return Installed(
-        names=tuple(each.name for each in found.verified),
+        names=bundle.names,
         not_after=min(each.certificate.not_after for each in found.verified),
         current=store.root / CURRENT,
         already=already,

@@ -159,6 +159,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.set_faults import faults_of_sets
+    from pqsec_pki.keystore.set_lines import SetLine
     from pqsec_pki.keystore.sets import (
         further,
         refuse_further_sets,
@@ -231,6 +232,7 @@ __all__ = [
     "RobotState",
     "SeenLedger",
     "SetChange",
+    "SetLine",
     "SharedRequests",
     "SharedStatus",
     "SigningCa",

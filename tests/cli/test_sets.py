@@ -63,9 +63,7 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
 @pytest.mark.parametrize(
     "line",
     [
-        "bundle /talker",
         "ca rotate --profile pq",
-        "ca show --pins",
         "ca crl --show -o x",
         "export cyclonedds /talker",
         "ledger move postgresql://u@h/d",
@@ -73,7 +71,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
         "estimate",
         "migrate plan --to pq",
         "domain import k",
-        "receipt import x",
         "sign-governance k/enclaves/governance.xml -o x.p7s",
     ],
 )

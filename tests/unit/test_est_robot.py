@@ -13,8 +13,7 @@ import pytest
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import Certificate, CertificateRequest, Reason
 from pqsec_pki.credentials import CERTIFICATE, KEY, REVOCATION_LIST
-from pqsec_pki.enrolment import Bundle, changing, one_command, read_receipts
-from pqsec_pki.enrolment.trust import pins_in_use
+from pqsec_pki.enrolment import Bundle, changing, one_command, pins_in_use, read_receipts
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, VerificationError
 from pqsec_pki.est import (

@@ -212,7 +212,7 @@ def enclave(transition):
 
 def members_of(enclave, name=ROBOT, now=LATER):
     trust = TrustState(pins={}, marks=Marks(), store="5" * 32, receipts=9)
-    data = receipt_of({name: enclave}, {name: 7}, trust, installed_at=NOW, now=now)
+    data = receipt_of({"": {name: enclave}}, {name: 7}, trust, installed_at=NOW, now=now)
     return dict(Archive.unpack(data, "receipt").files)
 
 
