@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle_file import BundleFile, write_bundles
     from pqsec_pki.enrolment.credential_store import (
         CredentialStore,
-        Installation,
+        InstalledCredentials,
         changing,
         is_credential_store,
         one_command,
     )
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
+    from pqsec_pki.enrolment.installed_enclaves import problems_where_installed
     from pqsec_pki.enrolment.installing import Installed, install, removed_alone, require_trust
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
     from pqsec_pki.enrolment.offline import (
@@ -50,7 +51,6 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.robot_clock import begin_problems
     from pqsec_pki.enrolment.rolling_back import rollback
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
-    from pqsec_pki.enrolment.seen_heads import head_problems
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
     from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 else:
@@ -65,8 +65,8 @@ __all__ = [
     "BundleFile",
     "CredentialStore",
     "ImportedReceipt",
-    "Installation",
     "Installed",
+    "InstalledCredentials",
     "IssuedBundle",
     "Pins",
     "Requested",
@@ -81,7 +81,6 @@ __all__ = [
     "changing",
     "fingerprint",
     "flat_name",
-    "head_problems",
     "import_receipts",
     "install",
     "is_credential_store",
@@ -96,6 +95,7 @@ __all__ = [
     "pin_texts",
     "pins_in_use",
     "pins_of",
+    "problems_where_installed",
     "read_receipts",
     "record_receipts",
     "refresh",

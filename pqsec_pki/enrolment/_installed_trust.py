@@ -3,7 +3,7 @@
 from collections.abc import Collection, Mapping
 
 from pqsec_pki.credentials import KEYS, PROOF, Credentials, verify_logged
-from pqsec_pki.enrolment.credential_store import CredentialStore, Installation
+from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledCredentials
 from pqsec_pki.enrolment.pins import Pins, pins_in, set_problems, sets_in
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, PqsecError, VerificationError, located
@@ -13,7 +13,7 @@ from pqsec_pki.transparency import LedgerProof, TreeHead
 
 
 def trust_state(
-    store: CredentialStore, before: Installation | None, *, needed: bool
+    store: CredentialStore, before: InstalledCredentials | None, *, needed: bool
 ) -> TrustState | None:
     """The saved trust state, or, if there is none, one derived from what is installed.
 
@@ -47,7 +47,7 @@ def raised(
     return (state or TrustState.of_new_store(pins)).after(credentials, pins, heads)
 
 
-def heads_in(found: Installation) -> dict[str, TreeHead]:
+def heads_in(found: InstalledCredentials) -> dict[str, TreeHead]:
     """The head in each installed proof, by participant; errors as of `verify_logged`."""
     heads = {}
     for place, credentials in _by_set(found).items():
@@ -61,7 +61,7 @@ def heads_in(found: Installation) -> dict[str, TreeHead]:
     return heads
 
 
-def credentials_in(found: Installation) -> list[Credentials]:
+def credentials_in(found: InstalledCredentials) -> list[Credentials]:
     """The installed credentials of all sets, read but not verified.
 
     KeystoreError if a participant is missing in one of the sets that were installed.
@@ -69,7 +69,7 @@ def credentials_in(found: Installation) -> list[Credentials]:
     return [each for credentials in _by_set(found).values() for each in credentials]
 
 
-def pins_installed(found: Installation) -> Pins:
+def pins_installed(found: InstalledCredentials) -> Pins:
     """The CAs of all sets that are installed; errors as of `credentials_in`."""
     return {
         file: pins
@@ -78,7 +78,7 @@ def pins_installed(found: Installation) -> Pins:
     }
 
 
-def _by_set(found: Installation) -> dict[str, list[Credentials]]:
+def _by_set(found: InstalledCredentials) -> dict[str, list[Credentials]]:
     with located(found.path):
         sets = found.sets
         for place, enclaves in sets.items():

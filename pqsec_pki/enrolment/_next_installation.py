@@ -7,7 +7,7 @@ from typing import Self
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import KEYS, PROOF, REVOCATION_LIST, VerifiedCredentials
 from pqsec_pki.enrolment.bundle import Bundle, Enclaves
-from pqsec_pki.enrolment.credential_store import CredentialStore, Installation
+from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledCredentials
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, keys_of
@@ -20,7 +20,7 @@ from pqsec_pki.tokens import Pin
 class NextInstallation:
     """What will be installed, and what is installed now."""
 
-    before: Installation | None
+    before: InstalledCredentials | None
     sets: Mapping[str, Enclaves]
     """The enclaves of each set of credentials."""
     numbers: dict[str, int]
@@ -33,7 +33,7 @@ class NextInstallation:
         found: VerifiedBundle,
         store: CredentialStore,
         *,
-        before: Installation | None,
+        before: InstalledCredentials | None,
         alone: bool,
         pin: Pin,
     ) -> Self:
@@ -89,7 +89,7 @@ def _same_enclaves(before: Enclaves, wanted: Enclaves) -> bool:
 
 
 def _others(
-    before: Installation | None, bundle: Bundle, found: VerifiedBundle
+    before: InstalledCredentials | None, bundle: Bundle, found: VerifiedBundle
 ) -> dict[str, dict[str, dict[str, bytes]]]:
     """The other installed participants, by set; VerificationError for those of other CAs, or that
     have not all sets of the bundle."""
@@ -114,7 +114,7 @@ def _others(
 
 
 def _numbers(
-    before: Installation | None, bundle: Bundle, wanted: Mapping[str, object]
+    before: InstalledCredentials | None, bundle: Bundle, wanted: Mapping[str, object]
 ) -> dict[str, int]:
     """The number of the bundle from which each participant in `wanted` comes, if it has one."""
     kept = before.numbers if before else {}
@@ -122,7 +122,9 @@ def _numbers(
     return {name: number for name, number in known.items() if number is not None}
 
 
-def _same_authorities(before: Installation, others: Mapping[str, Enclaves], bundle: Bundle) -> bool:
+def _same_authorities(
+    before: InstalledCredentials, others: Mapping[str, Enclaves], bundle: Bundle
+) -> bool:
     """Whether each of `others` has the CAs of `bundle` in the same files, and is in each of its
     sets; False if one cannot be read."""
     names = others[layout.FIRST].keys()

@@ -61,7 +61,7 @@ def is_credential_store(root: Path) -> bool:
 
 
 @dataclass(frozen=True, slots=True)
-class Installation:
+class InstalledCredentials:
     """What one installation put into the store."""
 
     path: Path
@@ -98,7 +98,7 @@ class CredentialStore:
     root: Path
 
     @property
-    def current(self) -> Installation | None:
+    def current(self) -> InstalledCredentials | None:
         """The current installation, if there is one; KeystoreError if it is damaged."""
         link = self.root / CURRENT
         if not os.path.lexists(link):
@@ -132,7 +132,7 @@ class CredentialStore:
         if not os.path.lexists(self.root / CURRENT):
             refuse_without_links(self.root, "a robot's folder")
 
-    def installation_numbered(self, name: str) -> Installation:
+    def installation_numbered(self, name: str) -> InstalledCredentials:
         """That installation; KeystoreError if it is damaged, FileError if it does not exist."""
         path = self.root / INSTALLED / name
         try:
@@ -146,7 +146,7 @@ class CredentialStore:
                 if (number := bundle_number(value))
             }
             further = tuple(map(set_named, record["sets"]))
-            return Installation(path, at, previous, numbers, further)
+            return InstalledCredentials(path, at, previous, numbers, further)
         except (
             *(ValueError, KeyError, TypeError, AttributeError, RecursionError),
             MalformedError,

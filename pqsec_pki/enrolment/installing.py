@@ -16,7 +16,7 @@ from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import (
     CURRENT,
     CredentialStore,
-    Installation,
+    InstalledCredentials,
     changing,
 )
 from pqsec_pki.enrolment.pins import Pins
@@ -140,12 +140,14 @@ def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
         return _besides(store.current, names)
 
 
-def _besides(before: Installation | None, names: Collection[str]) -> tuple[str, ...]:
+def _besides(before: InstalledCredentials | None, names: Collection[str]) -> tuple[str, ...]:
     """The installed participants, sorted, apart from `names`."""
     return tuple(sorted((before.enclaves if before else {}).keys() - set(names)))
 
 
-def _refuse_unasked(before: Installation | None, bundle: Bundle, agreed: Collection[str]) -> None:
+def _refuse_unasked(
+    before: InstalledCredentials | None, bundle: Bundle, agreed: Collection[str]
+) -> None:
     """KeystoreError if others would be removed: they were installed since the question."""
     others = [each for each in _besides(before, bundle.names) if each not in agreed]
     if others:
@@ -192,7 +194,7 @@ def _no_cas() -> UsageError:
 
 
 def _verified(
-    bundle: Bundle, pins: Pins, before: Installation | None, now: datetime, *, proofs: bool
+    bundle: Bundle, pins: Pins, before: InstalledCredentials | None, now: datetime, *, proofs: bool
 ) -> VerifiedBundle:
     at = verification_time(bundle.credentials, before, now)
     try:

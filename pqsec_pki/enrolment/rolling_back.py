@@ -13,7 +13,7 @@ from pqsec_pki.enrolment._installed_trust import (
     refuse_fewer_sets,
     trust_state,
 )
-from pqsec_pki.enrolment.credential_store import Installation, changing
+from pqsec_pki.enrolment.credential_store import InstalledCredentials, changing
 from pqsec_pki.enrolment.pins import pin_problems
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.trust import TrustState
@@ -23,7 +23,7 @@ from pqsec_pki.tokens import Pin, stored_pin
 
 def rollback(
     root: Path, *, now: datetime, older: bool = False, pin: Pin = stored_pin
-) -> Installation:
+) -> InstalledCredentials:
     """Make the installation before the current one current again.
 
     KeystoreError if there is none, or it cannot be read. VerificationError if its CAs are not
@@ -58,7 +58,7 @@ def rollback(
         return earlier
 
 
-def _refuse_rollback(earlier: Installation, state: TrustState) -> None:
+def _refuse_rollback(earlier: InstalledCredentials, state: TrustState) -> None:
     credentials = credentials_in(earlier)
     enclaves = [each for of_set in earlier.sets.values() for each in of_set.items()]
     lacking = [name for name, files in enclaves if PROOF not in files]

@@ -34,6 +34,7 @@ The ledger:
     _replaced_cas     the CAs by the ledger, and whether another machine replaced them
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
+    set_lines     lines that show of which set of credentials a CA is
     _entries      the lines for what is issued and signed
 Changes:
     _folder       access to folders by descriptor, never through a link

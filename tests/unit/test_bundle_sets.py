@@ -18,6 +18,7 @@ from pqsec_pki.enrolment import (
     pin_texts,
     pins_in_use,
     pins_of,
+    problems_where_installed,
     read_receipts,
     rollback,
 )
@@ -48,6 +49,7 @@ from pqsec_pki.lifecycle import (
     renew_list,
     revoke,
 )
+from pqsec_pki.lint import check
 from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint
 from tests.unit.keystores import DAY, NOW
@@ -863,3 +865,54 @@ def test_a_robot_over_its_life(single, robot, second):
     assert refused(robot, without_sets(seen[-1]), now=now)[0] == {Code.CA_MISSING}
     received(keystore, robot, now=now)
     assert TALKER not in [each.name for each in list_delivery(keystore, now=now).late]
+
+
+# What a check finds on a robot
+
+
+def found_on(robot):
+    report = check([robot], now=LATER, compare=problems_where_installed)
+    return {(each.rule.id, each.message) for each in report.findings if each.rule.id == "PQS319"}
+
+
+@pytest.mark.parametrize("gone", ["sets", "sets/hybrid/enclaves", "sets/hybrid/enclaves/talker"])
+def test_a_check_finds_a_set_that_is_gone_from_a_robot(keystore, robot, gone):
+    put(robot, bundled(keystore), pins_in_use(keystore))
+    assert found_on(robot) == set()
+    shutil.rmtree(current(robot).path / gone)
+    [(_, words)] = found_on(robot)
+    assert "sets/hybrid/enclaves/talker is missing, and this robot has this set" in words
+
+
+def test_a_check_finds_that_the_first_set_is_gone_from_a_robot(keystore, robot):
+    put(robot, bundled(keystore), pins_in_use(keystore))
+    shutil.rmtree(current(robot).path / "enclaves")
+    [(_, words)] = found_on(robot)
+    assert "enclaves/talker is missing" in words
+
+
+def test_the_sets_of_a_robot_and_its_earlier_installation_are_one_participant(keystore, robot):
+    put(robot, bundled(keystore), pins_in_use(keystore))
+    renew(keystore, keystore.unlock(None), [TALKER], Renewal(), now=LATER)
+    put(robot, bundled(keystore, now=LATER))
+    report = check([robot], now=LATER, compare=problems_where_installed)
+    assert "PQS402" not in {each.rule.id for each in report.findings}
+
+
+def test_a_damaged_installation_is_mended_by_the_next_bundle(keystore, robot):
+    put(robot, bundled(keystore), pins_in_use(keystore))
+    shutil.rmtree(current(robot).path / "sets")
+    done = put(robot, bundled(keystore))
+    assert not done.already
+    assert {*current(robot).sets[SET]} == {TALKER}
+
+
+def test_without_its_trust_state_a_robot_needs_the_sets_that_are_installed(keystore, robot):
+    bundle = bundled(keystore)
+    put(robot, bundle, pins_in_use(keystore))
+    (robot / "trust.json").unlink()
+    assert refused(robot, without_sets(bundle))[0] == {Code.CA_MISSING}
+    shutil.rmtree(current(robot).path / "sets")
+    with pytest.raises(KeystoreError, match="the set of credentials hybrid lacks /talker"):
+        put(robot, bundle)
+    put(robot, bundle, pins_in_use(keystore), older=True)
