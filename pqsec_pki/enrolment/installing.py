@@ -55,6 +55,8 @@ class Installed:
     """The bundle's number, if it has one."""
     receipt: Path
     """The receipt, which shows the machine with the CAs what is installed."""
+    profiles: tuple[str, ...] = ()
+    """The profile of each set of credentials, the first one first."""
     future: tuple[Problem, ...] = ()
     """What is of the future by the clock of this robot, which is wrong, or the CA's was."""
 
@@ -66,6 +68,7 @@ class Installed:
             "not_after": self.not_after,
             "already": self.already,
             "bundle": self.bundle,
+            "profiles": self.profiles,
             "receipt": self.receipt,
             "future": list(map(str, self.future)),
         }
@@ -249,5 +252,6 @@ def _result(
         already=already,
         bundle=bundle.number,
         receipt=store.receipt,
+        profiles=bundle.profiles,
         future=tuple(dict.fromkeys(future)),
     )

@@ -22,6 +22,7 @@ from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.one_meaning import differences
 from pqsec_pki.enrolment.pins import Pins, of_sets, pin_problems, pins_in, set_problems, sets_in
 from pqsec_pki.errors import PqsecError, VerificationError
+from pqsec_pki.keystore import layout
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
 from pqsec_pki.transparency import LedgerProof, TreeHead
@@ -102,9 +103,10 @@ def _each(bundle: Bundle) -> Iterator[tuple[str, Credentials]]:
 
 
 def _pin_problems(bundle: Bundle, pins: Pins) -> Iterator[Problem]:
-    yield from set_problems(bundle.further, sets_in(pins))
+    known = (layout.FIRST, *sets_in(pins))
+    yield from set_problems(bundle.further, known[1:])
     for place, each in _each(bundle):
-        own = pins_in(each.anchors, set_name=place)
+        own = of_sets(pins_in(each.anchors, set_name=place), known)
         for problem in pin_problems(own, of_sets(pins, [place])):
             yield problem.of(each.name)
 
