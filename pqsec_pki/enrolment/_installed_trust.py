@@ -2,7 +2,8 @@
 
 from collections.abc import Collection, Mapping
 
-from pqsec_pki.credentials import KEYS, PROOF, Credentials, verify_logged
+from pqsec_pki.credentials import PROOF, Credentials, verify_logged
+from pqsec_pki.enrolment._written_again import without_keys
 from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledCredentials
 from pqsec_pki.enrolment.pins import Pins, pins_in, set_problems, sets_in
 from pqsec_pki.enrolment.trust import TrustState
@@ -88,10 +89,7 @@ def _by_set(found: InstalledCredentials) -> dict[str, list[Credentials]]:
                     code=Code.FILE_MISSING,
                 )
         return {
-            place: [
-                Credentials.of(name, {file: files[file] for file in files.keys() - {*KEYS}})
-                for name, files in enclaves.items()
-            ]
+            place: [Credentials.of(name, without_keys(each)) for name, each in enclaves.items()]
             for place, enclaves in sets.items()
         }
 

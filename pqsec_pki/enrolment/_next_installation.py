@@ -6,7 +6,8 @@ from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import KEYS, PROOF, REVOCATION_LIST, VerifiedCredentials
-from pqsec_pki.enrolment.bundle import Bundle, Enclaves
+from pqsec_pki.enrolment._written_again import Enclaves
+from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import CredentialStore, InstalledCredentials
 from pqsec_pki.enrolment.receipt import receipt_of
 from pqsec_pki.enrolment.trust import TrustState

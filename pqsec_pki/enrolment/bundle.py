@@ -15,7 +15,7 @@ from dataclasses import field, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Self, TypeAlias
+from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, write
@@ -27,20 +27,16 @@ from pqsec_pki.credentials import (
     KEYS,
     NEEDED,
     Credentials,
-    VerifiedCredentials,
     certificates_in,
-    verify_credentials,
 )
+from pqsec_pki.enrolment._written_again import Enclaves, verified_again, without_keys
 from pqsec_pki.enrolment.archive import Archive
-from pqsec_pki.enrolment.one_meaning import differences
 from pqsec_pki.enrolment.pins import Pins, of_sets, set_named
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, MAX_MEMBERS
 from pqsec_pki.errors import (
     MalformedError,
-    PassphraseError,
     PqsecError,
     UsageError,
-    VerificationError,
     shown,
 )
 from pqsec_pki.keystore import (
@@ -56,8 +52,6 @@ from pqsec_pki.tokens import is_reference
 from pqsec_pki.transparency import LedgerProof
 
 KIND = "bundle"
-Enclaves: TypeAlias = Mapping[str, Mapping[str, bytes]]
-"""Files by name, for each participant's name."""
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -106,7 +100,7 @@ class Bundle:
             read = [{name: those.files(name, each.set_name) for name in regular} for each in sets]
             number = those.number_of(files for each in read for files in each.values())
             found = dict(zip((each.set_name for each in sets), read, strict=True))
-            written = _verified(found, now, keys=keys)
+            written = verified_again(found, now, keys=keys)
             made = cls(
                 now.replace(microsecond=0),
                 number=number,
@@ -249,7 +243,9 @@ class Bundle:
         """Those of each enclave without its private keys, not verified; errors as of
         `Credentials.of`."""
         return {
-            place: tuple(Credentials.of(name, _public(files)) for name, files in enclaves.items())
+            place: tuple(
+                Credentials.of(name, without_keys(files)) for name, files in enclaves.items()
+            )
             for place, enclaves in self.sets.items()
         }
 
@@ -315,51 +311,6 @@ def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False)
     with disk_errors(goal.parent):
         goal.parent.mkdir(parents=True, exist_ok=True)
     write(goal, data, private=private, force=force)
-
-
-def _verified(sets: Mapping[str, Enclaves], now: datetime, *, keys: bool) -> dict[str, Enclaves]:
-    """`sets` with all files written again from the verified values.
-
-    With `keys`, also the private keys, which must match the certificates. VerificationError lists
-    everything that is wrong with one participant, or what differs between the sets.
-    """
-    written, found = dict[str, Enclaves](), dict[str, list[VerifiedCredentials]]()
-    for place, enclaves in sets.items():
-        private = {name: _private(name, files) if keys else {} for name, files in enclaves.items()}
-        found[place] = [
-            verify_credentials(_credentials(name, {**_public(files), **private[name]}), now=now)
-            for name, files in enclaves.items()
-        ]
-        written[place] = {each.name: {**each.files, **private[each.name]} for each in found[place]}
-    if problems := [*differences(found)]:
-        raise VerificationError(*problems, hint="`pqsec check` of the keystore says more")
-    return written
-
-
-def _public(files: Mapping[str, bytes]) -> dict[str, bytes]:
-    return {file: data for file, data in files.items() if file not in KEYS}
-
-
-def _credentials(name: str, files: Mapping[str, bytes]) -> Credentials:
-    try:
-        return Credentials.of(name, files)
-    except PassphraseError as error:
-        error.hint = (
-            "a robot cannot open it: decrypt the key, or let the robot generate its own keys"
-        )
-        raise
-
-
-def _private(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
-    """The files of private keys; none if they are in a token, whose URI the robot knows itself."""
-    private = {file: data for file, data in files.items() if file in KEYS}
-    outside = [file for file, data in private.items() if is_reference(data)]
-    if outside and len(outside) < len(private):
-        raise UsageError(
-            f"{name} has one key in a token and one in a file: a bundle can bring neither",
-            hint="request it on its robot: `pqsec request --participant-key-uri`",
-        )
-    return {} if outside else private
 
 
 def _set_lines(value: object) -> tuple[SetLine, ...]:

@@ -38,7 +38,8 @@ from pqsec_pki._files import (
 from pqsec_pki._places import refuse_outsiders
 from pqsec_pki.credentials import CERTIFICATE, ENCLAVES, FILES, KEY, KEYS, PROOF
 from pqsec_pki.enrolment._own_folder import DRAFT, locked, make_private, sweep
-from pqsec_pki.enrolment.bundle import Enclaves, flat_name, name_of
+from pqsec_pki.enrolment._written_again import Enclaves
+from pqsec_pki.enrolment.bundle import flat_name, name_of
 from pqsec_pki.enrolment.pins import set_named
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import KeystoreError, MalformedError, located, other_format

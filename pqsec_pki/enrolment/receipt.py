@@ -25,8 +25,9 @@ from pqsec_pki.credentials import (
     key_problems,
     only_certificate,
 )
+from pqsec_pki.enrolment._written_again import Enclaves
 from pqsec_pki.enrolment.archive import Archive
-from pqsec_pki.enrolment.bundle import Enclaves, parts_of
+from pqsec_pki.enrolment.bundle import parts_of
 from pqsec_pki.enrolment.pins import set_named
 from pqsec_pki.enrolment.trust import TrustState
 from pqsec_pki.errors import MalformedError, PqsecError, VerificationError, shown
