@@ -1,6 +1,7 @@
 """The files that an installation makes the current ones."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from datetime import datetime
 from typing import Self
 
@@ -98,9 +99,9 @@ def _others(
         place: {name: dict(files) for name, files in each.items() if name not in bundle.names}
         for place, each in (before.sets if before else {}).items()
     }
-    if not before or not any(others.values()):
+    if not any(others.values()):
         return {}
-    if not _same_authorities(before, others, bundle):
+    if not _same_authorities(others, bundle):
         names = ", ".join(sorted({name for each in others.values() for name in each}))
         raise VerificationError(
             f"also installed: {names}, which were not issued by the bundle's CAs",
@@ -123,17 +124,16 @@ def _numbers(
     return {name: number for name, number in known.items() if number is not None}
 
 
-def _same_authorities(
-    before: InstalledCredentials, others: Mapping[str, Enclaves], bundle: Bundle
-) -> bool:
+def _same_authorities(others: Mapping[str, Enclaves], bundle: Bundle) -> bool:
     """Whether each of `others` has the CAs of `bundle` in the same files, and is in each of its
     sets; False if one cannot be read."""
-    names = others[layout.FIRST].keys()
-    further = {place: each for place, each in others.items() if place != layout.FIRST}
-    if any(each.keys() != names for each in further.values()):
+    further = dict(others)
+    first = further.pop(layout.FIRST)
+    if any(each.keys() != first.keys() for each in further.values()):
         return False
     try:
-        return Bundle(before.at, others[layout.FIRST], further=further).roles == bundle.roles
+        own = replace(bundle, enclaves=first, further=further)
+        return own.roles == bundle.roles
     except PqsecError:
         return False
 

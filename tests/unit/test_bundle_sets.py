@@ -916,3 +916,11 @@ def test_without_its_trust_state_a_robot_needs_the_sets_that_are_installed(keyst
     with pytest.raises(KeystoreError, match="the set of credentials hybrid lacks /talker"):
         put(robot, bundle)
     put(robot, bundle, pins_in_use(keystore), older=True)
+
+
+@pytest.mark.parametrize("lost", ["enclaves", "sets/hybrid/enclaves"])
+def test_another_participant_that_lost_a_set_is_told_and_not_dropped(keystore, robot, lost):
+    put(robot, bundled(keystore, TALKER, LISTENER), pins_in_use(keystore))
+    shutil.rmtree(current(robot).path / f"{lost}/listener")
+    _, words = refused(robot, bundled(keystore, TALKER))
+    assert "also installed: /listener, which were not issued by the bundle's CAs" in words
