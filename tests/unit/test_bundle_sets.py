@@ -919,8 +919,9 @@ def test_without_its_trust_state_a_robot_needs_the_sets_that_are_installed(keyst
 
 
 @pytest.mark.parametrize("lost", ["enclaves", "sets/hybrid/enclaves"])
-def test_another_participant_that_lost_a_set_is_told_and_not_dropped(keystore, robot, lost):
-    put(robot, bundled(keystore, TALKER, LISTENER), pins_in_use(keystore))
+@pytest.mark.parametrize("others", [(LISTENER,), (LISTENER, "/thief")])
+def test_another_participant_that_lost_a_set_is_told_and_not_dropped(keystore, robot, lost, others):
+    put(robot, bundled(keystore, TALKER, *others), pins_in_use(keystore))
     shutil.rmtree(current(robot).path / f"{lost}/listener")
     _, words = refused(robot, bundled(keystore, TALKER))
-    assert "also installed: /listener, which were not issued by the bundle's CAs" in words
+    assert f"also installed: {', '.join(others)}, which were not issued by the bundle's" in words
