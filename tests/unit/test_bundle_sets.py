@@ -574,9 +574,11 @@ def test_a_ca_of_the_first_set_is_not_taken_for_that_of_a_new_set(running, robot
 
 
 def test_a_bundle_of_another_domain_with_more_sets_is_not_an_addition(running, place, robot):
-    codes, words = refused(robot, bundled(create(place / "other", CLASSICAL, HYBRID)))
-    assert codes == {Code.CA_UNKNOWN, Code.CA_MISSING}
-    assert "the identity CA that is trusted is missing" in words
+    other = bundled(create(place / "other", CLASSICAL, HYBRID))
+    for bundle in (other, replace(other, proof=None, set_lines=())):
+        codes, words = refused(robot, bundle)
+        assert codes == {Code.CA_UNKNOWN, Code.CA_MISSING}
+        assert "the identity CA that is trusted is missing" in words
     assert running.profiles
 
 
