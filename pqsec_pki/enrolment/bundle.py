@@ -123,6 +123,8 @@ class Bundle:
     @property
     def _further_cas(self) -> list[tuple[str, str]]:
         """The kind and SHA-256 of the ledger's line about each CA of a further set."""
+        if not self.further:
+            return []
         return sorted(
             (ca_kind(file), each)
             for file, found in of_sets(self.roles, self.further).items()
