@@ -324,7 +324,6 @@ def _show_pins(keystore: Keystore) -> None:
     """Print the trusted CAs as options of `pqsec install`."""
     from pqsec_pki.enrolment import pin_texts, pins_in_use  # noqa: PLC0415 -- for --pins alone
 
-    refuse_further_sets(keystore, "--pins prints")
     pins = pin_texts(pins_in_use(keystore))
     _printing.emit({"pins": pins}, [f"--ca-fingerprint {each}" for each in pins])
 

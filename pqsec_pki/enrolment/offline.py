@@ -23,8 +23,8 @@ from pqsec_pki.enrolment.archive import Archive
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path, flat_name, save
 from pqsec_pki.enrolment.csr_validation import validate_csrs
 from pqsec_pki.enrolment.participant_spec import policy_file, read_spec, spec_value
+from pqsec_pki.enrolment.pins import Pins
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, pack
-from pqsec_pki.enrolment.trust import Pins
 from pqsec_pki.enrolment.verification import verify_bundle
 from pqsec_pki.errors import (
     ExistsError,
@@ -329,7 +329,7 @@ def _bundles_in(archive: Archive, names: Sequence[str]) -> Iterator[tuple[str, B
 
 
 def _unpacked(bundle: Bundle) -> int:
-    return sum(len(data) for files in bundle.enclaves.values() for data in files.values())
+    return bundle.unpacked_size
 
 
 def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:

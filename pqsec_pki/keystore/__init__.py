@@ -34,6 +34,7 @@ The ledger:
     _replaced_cas     the CAs by the ledger, and whether another machine replaced them
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
+    set_lines     lines that show of which set of credentials a CA is
     _entries      the lines for what is issued and signed
 Changes:
     _folder       access to folders by descriptor, never through a link
@@ -159,6 +160,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.set_faults import faults_of_sets
+    from pqsec_pki.keystore.set_lines import SetLine
     from pqsec_pki.keystore.sets import (
         further,
         refuse_further_sets,
@@ -231,6 +233,7 @@ __all__ = [
     "RobotState",
     "SeenLedger",
     "SetChange",
+    "SetLine",
     "SharedRequests",
     "SharedStatus",
     "SigningCa",

@@ -239,6 +239,13 @@ class Ledger:
         """The values that the tree hashes, for line `number`; None without that line."""
         return next((each for each in self.rows(after=number - 1) if each[0] == number), None)
 
+    def line(self, number: int) -> Line | None:
+        """Line `number`; None without that line."""
+        query = f"SELECT number, chain, {_table.COLUMNS} FROM ledger WHERE number = ?"  # noqa: S608 -- no outside text
+        with self._errors():
+            found = self._database.execute(query, (number,)).fetchone()
+            return _table.line(found) if found else None
+
     def newest(self, kind: str) -> list[Entry]:
         """The newest entry of that kind for each name."""
         own = self._condition([kind])

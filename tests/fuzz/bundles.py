@@ -8,6 +8,7 @@ import gzip
 import hashlib
 import io
 import json
+import shutil
 import tarfile
 import tempfile
 import zlib
@@ -31,7 +32,7 @@ from pqsec_pki.enrolment import (
 )
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import Keystore
-from pqsec_pki.lifecycle import ParticipantSpec, revoke
+from pqsec_pki.lifecycle import ParticipantSpec, add_set, revoke
 from pqsec_pki.transparency import HeadExtension, LedgerProof
 from tests.fuzz import mutation
 from tests.unit.keystores import DAY, NOW, made
@@ -59,8 +60,18 @@ def keystore():
 
 
 @cache
+def several():
+    """The same, with a second set of credentials; requests are for one set."""
+    root = shutil.copytree(keystore().root, Path(home().name) / "several", symlinks=True)
+    first, profile = Keystore.open(root, to_change=True), profile_named("pq")
+    validity = 900 * DAY
+    add_set(first, first.unlock(None), profile, validity=validity, passphrase=None, now=NOW)
+    return Keystore.open(root, to_change=True)
+
+
+@cache
 def bundle():
-    return Bundle.of(keystore(), ROBOTS, now=NOW)
+    return Bundle.of(several(), ROBOTS, now=NOW)
 
 
 @cache
@@ -106,10 +117,12 @@ def take_bundle(data):
         for path in root.rglob("*"):
             assert path.is_symlink() == (path.name == "current"), path
             assert path.is_dir() or path.stat().st_nlink == 1, path
-        for name, files in Bundle.from_bytes(data).enclaves.items():
-            for signed in ("permissions.p7s", "governance.p7s", "key.pem"):
-                assert (root / "current/enclaves" / name[1:] / signed).is_file()
-            assert certified(files["cert.pem"]) == certified(bundle().enclaves[name]["cert.pem"])
+        for place, where in (("", "current"), ("pq", "current/sets/pq")):
+            for name, files in Bundle.from_bytes(data).sets[place].items():
+                for signed in ("permissions.p7s", "governance.p7s", "key.pem"):
+                    assert (root / where / "enclaves" / name[1:] / signed).is_file()
+                issued = bundle().sets[place][name]["cert.pem"]
+                assert certified(files["cert.pem"]) == certified(issued)
 
 
 def certified(pem):
@@ -133,7 +146,7 @@ def head():
 def take_head(data):
     """The CAs signed exactly this, or it is refused."""
     found = HeadExtension.from_bytes(data)
-    signers = (keystore().permissions_ca, keystore().countersigner)
+    signers = (several().permissions_ca, several().countersigner)
     found.checkpoint.verify([each.public_key for each in signers])
     assert found.head == bundle().proof.checkpoint.head
 

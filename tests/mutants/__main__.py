@@ -74,6 +74,7 @@ TESTS = {
         "clocks",
         "rolled_back",
         "bundle_proofs",
+        "bundle_sets",
         "limits",
     ),
     "plugin": ("plugin_*", "bundle_proofs", "places", "cli/test_plugin.py"),
