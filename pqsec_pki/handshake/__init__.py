@@ -11,6 +11,13 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.handshake._cdr import ByteOrder
     from pqsec_pki.handshake._checks import check
+    from pqsec_pki.handshake.choice import (
+        PolicyRow,
+        StockPeers,
+        refuse_weak_set,
+        set_of,
+        set_to_ask_with,
+    )
     from pqsec_pki.handshake.compact import (
         CREDENTIALS_DICTIONARY,
         FIRST_ONLY,
@@ -94,12 +101,14 @@ __all__ = [
     "MessageSizes",
     "PeerRequirements",
     "PermissionsToken",
+    "PolicyRow",
     "RemotePeer",
     "Reply",
     "ReplySent",
     "Request",
     "RequestSent",
     "Sender",
+    "StockPeers",
     "Terms",
     "Transcript",
     "TransformationKind",
@@ -118,7 +127,10 @@ __all__ = [
     "participant_data",
     "participant_guid",
     "peer_certificate",
+    "refuse_weak_set",
     "reply_to",
+    "set_of",
+    "set_to_ask_with",
     "token_message",
     "unprotect_payload",
     "unprotect_submessage",
