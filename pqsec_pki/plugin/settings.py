@@ -1,6 +1,6 @@
 """What a participant requires in handshakes: from its keys, or from `pqsec.toml`."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import field
 from typing import Any, Self
 
@@ -85,6 +85,27 @@ class SettingsFile:
             sets=found.get("sets", {}),
         )
 
+    @property
+    def text(self) -> str:
+        """The file, in TOML: a setting that has its default is left out."""
+        import json  # noqa: PLC0415 -- for an export only; its strings are TOML's basic strings
+
+        found: dict[str, Any] = {}
+        if self.sets:
+            found["stock"] = list(self.stock)
+        elif self.peers != OURS:
+            found["peers"] = self.peers
+        if self.agreements:
+            found["key_agreements"] = [each.name for each in self.agreements]
+        if self.versions != _FIRST:
+            found["wire_versions"] = list(map(int, self.versions))
+        if self.proofs:
+            found["proofs"] = True
+        lines = [f"{name} = {json.dumps(value)}" for name, value in found.items()]
+        lines += ["[sets]"] if self.sets else []
+        lines += [f"{name} = {json.dumps(folder)}" for name, folder in self.sets.items()]
+        return "\n".join([*lines, ""])
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AgentSettings:
@@ -129,18 +150,6 @@ class AgentSettings:
         return PeerRequirements(
             agreements=self.agreements, versions=self.versions, require_alternative=pairs
         )
-
-
-def settings_text(sets: Mapping[str, str], stock: Sequence[str]) -> str:
-    """The `pqsec.toml` of a participant with these sets, by profile, and folders, as in
-    SettingsFile; `stock` are the names and patterns of those that may be met with the first."""
-    import json  # noqa: PLC0415 -- only for an export; its strings are TOML's basic strings
-
-    lines = ["# Who may be met with the first set of credentials; all others with the last only."]
-    lines += [f"stock = {json.dumps(list(stock))}", ""]
-    lines += ["# The sets that must be there; a missing one stops the start.", "[sets]"]
-    lines += [f"{name} = {json.dumps(folder)}" for name, folder in sets.items()]
-    return "\n".join([*lines, ""])
 
 
 def _by_keys(certificate: Certificate) -> tuple[KeyAgreement, ...]:

@@ -24,7 +24,7 @@ from pqsec_pki.handshake import (
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue, renew_list, revoke
 from pqsec_pki.plugin.authentication import NO_TOKEN
-from pqsec_pki.plugin.settings import settings_text
+from pqsec_pki.plugin.settings import SettingsFile
 from pqsec_pki.problems import Code
 from pqsec_pki.smime import document_in
 from tests.unit.keystores import DAY, NOW
@@ -81,7 +81,7 @@ def configured(root, name, *stock, first=False, text=None):
     else:
         sets = {"classical": f"../../../../enclaves{name}", profile: "."}
     folder = weak if first else strong
-    (folder / "pqsec.toml").write_text(text or settings_text(sets, stock))
+    (folder / "pqsec.toml").write_text(text or SettingsFile(sets=sets, stock=stock).text)
     return folder
 
 

@@ -11,7 +11,7 @@ import pytest
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
-from pqsec_pki.plugin.settings import settings_text
+from pqsec_pki.plugin.settings import SettingsFile
 from pqsec_pki.trial import MissingStackError, find
 from tests.interop.conftest import DOMAINS, TOPIC, YEAR
 from tests.interop.cyclone import RefusedError
@@ -48,7 +48,7 @@ def folder_of(model, tmp_path):
             return root / f"enclaves{name}"
         found = root / f"sets/hybrid/enclaves{name}"
         sets = {"classical": f"../../../../../enclaves{name}", "hybrid": "."}
-        (found / "pqsec.toml").write_text(settings_text(sets, stock))
+        (found / "pqsec.toml").write_text(SettingsFile(sets=sets, stock=stock).text)
         return found
 
     return folder
