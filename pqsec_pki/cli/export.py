@@ -13,6 +13,7 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError, located
+from pqsec_pki.handshake import stock_name
 from pqsec_pki.keystore import Keystore, is_several
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import FASTRTPS, Export, Options, exporter_of, write
@@ -195,7 +196,7 @@ def _options(  # noqa: PLR0913 -- one for each option of the command
         plugins=None if plugin else plugins,
         plugin=(plugins or default_folder()) if plugin else None,
         rmw=rmw,
-        stock=stock or None,
+        stock=tuple(map(stock_name, stock)) or None,
         crypto=crypto,
         anyway=anyway,
         environment=dict(os.environ),

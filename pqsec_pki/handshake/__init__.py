@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         refuse_weak_set,
         set_of,
         set_to_ask_with,
+        stock_name,
     )
     from pqsec_pki.handshake.compact import (
         CREDENTIALS_DICTIONARY,
@@ -131,6 +132,7 @@ __all__ = [
     "reply_to",
     "set_of",
     "set_to_ask_with",
+    "stock_name",
     "token_message",
     "unprotect_payload",
     "unprotect_submessage",

@@ -33,6 +33,13 @@ class PolicyRow:
     """Whether it may be met with the first set."""
 
 
+def stock_name(text: str) -> str:
+    """A name or pattern of participants, from the root; UsageError for what is neither."""
+    found = whole(text)
+    common_name("x" if is_pattern(found) else found)
+    return found
+
+
 @dataclass(frozen=True, slots=True)
 class StockPeers:
     """The names, and patterns of names, of participants that may be met with the first set."""

@@ -5,7 +5,6 @@ from dataclasses import field
 from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki._name_patterns import is_pattern, whole
 from pqsec_pki.algorithms import (
     KEY_AGREEMENTS,
     STOCK_AGREEMENTS,
@@ -13,9 +12,9 @@ from pqsec_pki.algorithms import (
     KeyAgreement,
     usual_agreements,
 )
-from pqsec_pki.certificates import Certificate, common_name
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import PqsecError, UsageError, located
-from pqsec_pki.handshake import PeerRequirements, WireVersion
+from pqsec_pki.handshake import PeerRequirements, WireVersion, stock_name
 from pqsec_pki.plugin.credentials import Source, octets_of
 
 SETTINGS = "pqsec.toml"
@@ -71,9 +70,7 @@ class SettingsFile:
         try:
             names = found.get("key_agreements", [])
             rows = tuple(KEY_AGREEMENTS.named(str(name).lower()) for name in names)
-            stock = tuple(map(whole, found.get("stock", [])))
-            for name in stock:
-                common_name("x" if is_pattern(name) else name)
+            stock = tuple(map(stock_name, found.get("stock", [])))
         except PqsecError as error:
             raise UsageError(str(error), hint=error.hint) from error
         return cls(
