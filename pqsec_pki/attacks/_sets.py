@@ -11,7 +11,7 @@ from dataclasses import replace
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.attacks._context import AttackContext, Attempt, with_identity
 from pqsec_pki.attacks._forgery import Keys, issued, with_broken_key
-from pqsec_pki.attacks.attack import Attack, Attacker
+from pqsec_pki.attacks.attack import COVERED, TRANSCRIPT, Attack, Attacker
 from pqsec_pki.certificates import Authority, Certificate, common_name
 from pqsec_pki.errors import UsageError
 from pqsec_pki.problems import Code
@@ -56,7 +56,7 @@ def issue_in_weaker_set(context: AttackContext) -> Iterator[Attempt]:
     def forged(side: SessionSide) -> SessionSide:
         keys = Keys.like(_first(side).participant.certificate)
         certificate = issued(Authority(broken, key), side.name, keys, now)
-        return with_identity(_first(side), certificate=certificate, key=keys.both, ca=broken)
+        return with_identity(_first(side), certificate=certificate, key=keys.both, ca=genuine)
 
     return _with_first_sets(context, "a forged certificate of the first set", forged)
 
@@ -138,6 +138,8 @@ def _agreement_of(side: SessionSide) -> KeyAgreement:
 _WEAKER = (Code.C30, Code.WRONG_ISSUER)
 """A Request with a weaker set is refused by policy; a Reply is verified with the Request's set."""
 
+_OWN_SIGNER = "the permissions of each set have a signer of their own"
+
 ATTACKS = (
     Attack(
         name="weaker-set",
@@ -145,6 +147,8 @@ ATTACKS = (
         title="shows genuine credentials of the first set, and announces no other",
         refused_at=("reply", "final"),
         checks=_WEAKER,
+        also=(Code.WRONG_SIGNER,),
+        because=_OWN_SIGNER,
         act=show_weaker_set,
         not_applicable=several_sets,
     ),
@@ -154,6 +158,8 @@ ATTACKS = (
         title="issues itself certificates with the key of the first set's CA",
         refused_at=("reply", "final"),
         checks=_WEAKER,
+        also=(Code.WRONG_SIGNER,),
+        because=_OWN_SIGNER,
         act=issue_in_weaker_set,
         not_applicable=several_sets,
     ),
@@ -163,6 +169,8 @@ ATTACKS = (
         title="announces the name of a participant that may be met with the first set",
         refused_at=("reply", "final"),
         checks=(Code.C29, Code.WRONG_ISSUER),
+        also=(Code.WRONG_SIGNER,),
+        because=_OWN_SIGNER,
         act=announce_other_name,
         not_applicable=several_sets,
     ),
@@ -181,6 +189,8 @@ ATTACKS = (
         title="replays messages of a handshake with the first set",
         refused_at=("reply", "final", "authenticated"),
         checks=(*_WEAKER, Code.C18, Code.C19, Code.C20, Code.C23),
+        also=(*TRANSCRIPT, Code.C14, Code.C22, Code.WRONG_SIGNER),
+        because=f"{COVERED}; {_OWN_SIGNER}",
         act=replay_weaker_set,
         not_applicable=several_sets,
     ),
