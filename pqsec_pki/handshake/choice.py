@@ -68,12 +68,14 @@ class StockPeers:
         return [whole(each) for each in self.names if not is_pattern(each)]
 
 
-def set_to_ask_with(row: PolicyRow, said: IdentityToken, strongest: str) -> int:
+def set_to_ask_with(
+    row: PolicyRow, said: IdentityToken, profile: str, certificate: Certificate
+) -> int:
     """FIRST or STRONGEST: the set of our Request to a peer of that row.
 
-    `strongest` is the profile of our strongest set.
+    `profile` and `certificate` are those of our strongest set.
     """
-    return FIRST if row.is_stock and not said.has_set(strongest) else STRONGEST
+    return FIRST if row.is_stock and not said.has_set(profile, certificate) else STRONGEST
 
 
 def set_of(certificate: Certificate, cas: Sequence[Sequence[Certificate]]) -> int:

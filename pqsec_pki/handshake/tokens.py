@@ -113,12 +113,14 @@ class IdentityToken(_Token):
         """
         return f"{version}" in (self.versions or _ALONE).split(",")
 
-    def has_set(self, profile: str) -> bool:
-        """Whether the sender announces that it has credentials of that profile.
+    def has_set(self, profile: str, certificate: Certificate) -> bool:
+        """Whether the sender announces that it has credentials of that profile, or, as one with a
+        single set, a key as that of our `certificate`.
 
         As `knows`: a forger can have us use another set that we allow for it, or none.
         """
-        return self.algorithm in _NEW_KEYS or profile in (self.sets or "").split(",")
+        alike = self.algorithm == certificate.public_key.algorithm.token_name
+        return alike or profile in (self.sets or "").split(",")
 
     def knows(self, agreement: KeyAgreement) -> bool:
         """Whether the sender announces that it accepts a Request for `agreement`.

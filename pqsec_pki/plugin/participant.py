@@ -103,7 +103,8 @@ class Participant:
         row = self._row(said, guid)
         if self.stock is None:
             return self.first, row
-        return self.sets[set_to_ask_with(row, said, self.profiles[-1])], row
+        certificate = self.strongest.certificate
+        return self.sets[set_to_ask_with(row, said, self.profiles[-1], certificate)], row
 
     def answers(
         self, said: IdentityToken, guid: bytes, certificate: Certificate

@@ -53,7 +53,8 @@ class PartyInSets:
             return self.sides[0], self.profiles[0]
         names = tuple(each.name for each in self.profiles)
         row = stock.row(peer.token, peer.guid)
-        number = set_to_ask_with(row, peer.token, names[-1])
+        certificate = self.sides[-1].terms.own.certificate
+        number = set_to_ask_with(row, peer.token, names[-1], certificate)
         sets = SideSets(profiles=names, sides=self.sides, row=row)
         return replace(self.sides[number], sets=sets), self.profiles[number]
 

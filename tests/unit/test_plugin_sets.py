@@ -356,6 +356,21 @@ def test_messages_of_one_set_are_refused_in_a_handshake_of_the_other(root):
             )
 
 
+def test_what_a_named_peer_with_one_set_announces_chooses_that_set(tmp_path):
+    """Of hybrid and pq: one that has only the first is not asked with the other."""
+    root = made(tmp_path / "k", "hybrid", "pq").root
+    for ours, theirs in ((A, B), (B, A)):
+        folder = root / f"sets/pq/enclaves{ours}"
+        sets = {"hybrid": f"../../../../enclaves{ours}", "pq": "."}
+        (folder / "pqsec.toml").write_text(SettingsFile(sets=sets, stock=(theirs,)).text)
+        (root / f"sets/pq/enclaves{theirs}/pqsec.toml").unlink(missing_ok=True)
+        with_first = meet(Peer(folder), Peer(root / f"enclaves{theirs}"))
+        with_last = meet(Peer(folder), Peer(root / f"sets/pq/enclaves{theirs}"))
+        assert len(with_first) == len(with_last) == 1
+        assert with_last == {b"ML-DSA-65"}
+        assert with_first != with_last
+
+
 # Fails closed
 
 
@@ -441,6 +456,7 @@ def test_a_peer_that_the_list_of_its_set_names_is_refused_and_dropped(root):
         ('[sets]\nclassical = "."\nhybrid = "."', "no such value"),
         ('[sets]\nclassical = 1\nhybrid = "."', "no such value"),
         ('sets = ["classical", "hybrid"]', "no such value"),
+        ('[sets]\nclassical = "a\\u0000b"\n{profile} = "."', "null"),
         ('[sets]\nclassical = "nowhere"\n{profile} = "."', "cert.pem: no such file"),
         ('[sets]\nother = "../../../../enclaves/a"\n{profile} = "."', "other"),
         ('[sets]\n{profile} = "."\nclassical = "../../../../enclaves/a"', "the strongest"),
