@@ -443,6 +443,23 @@ def test_a_peer_that_the_list_of_its_set_names_is_refused_and_dropped(root):
         goal.write_bytes(saved)
 
 
+@pytest.mark.parametrize("set_name", ["", "sets"])
+def test_a_participant_that_the_list_of_any_set_names_is_revoked(root, set_name):
+    keystore = Keystore.open(root, to_change=True)
+    renew_list(keystore, keystore.unlock(None), now=NOW)
+    running, new = Peer(configured(root, A), **LIST), root.parent / "new"
+    shutil.copytree(root, new, symlinks=True)
+    changed = Keystore.open(new, to_change=True)
+    revoke(changed, changed.unlock(None), [A], now=NOW)
+    folder = strongest_of(root) if set_name else root
+    goal = (folder / "enclaves/a/crl.pem").resolve()
+    assert running.shim.call("find_revoked")[1] == 0
+    goal.write_bytes((new / goal.relative_to(root)).read_bytes())
+    assert running.shim.call("find_revoked")[1] == running.identity
+    with pytest.raises(RefusedError, match="revoked"):
+        Peer(configured(root, A), **LIST)
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [
