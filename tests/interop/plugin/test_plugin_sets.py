@@ -106,3 +106,18 @@ def test_the_library_and_cyclones_own_plugin_agree_on_the_classical_set(
         pytest.raises(RefusedError, match=r"stock does not name it|may be a stock stack"),
     ):
         both.shake_hands()
+
+
+@pytest.mark.parametrize("ours", [ALICE, BOB])
+def test_fast_dds_with_its_own_plugin_is_met_by_the_classical_set(shim, fastdds, folder_of, ours):
+    """Its IdentityToken spells the name in its own way, and it asks for MODP."""
+    theirs = BOB if ours == ALICE else ALICE
+    stock = fastdds, folder_of(theirs, has_all=False)
+    for entry in (theirs, "/lab/*"):
+        with couple((shim.folder, folder_of(ours, entry)), stock) as both:
+            both.agree(both.shake_hands())
+    with (
+        couple((shim.folder, folder_of(ours)), stock) as both,
+        pytest.raises(RefusedError, match=r"stock does not name it|may be a stock stack"),
+    ):
+        both.shake_hands()
