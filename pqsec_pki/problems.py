@@ -129,6 +129,8 @@ class Code(StrEnum):
     C26 = "C26"
     C27 = "C27"
     C28 = "C28"
+    C29 = "C29"
+    C30 = "C30"
 
     # Compared with what was installed before
     OLDER = "older"

@@ -75,9 +75,9 @@ class AttackContext:
 
 
 def with_identity(side: SessionSide, **changes: Any) -> SessionSide:
-    """`side` with a changed identity: certificate, key, GUID or permissions."""
+    """`side` with a changed identity: certificate, key, GUID or permissions, in this set only."""
     own = replace(side.terms.own, **changes)
-    return replace(side, terms=replace(side.terms, own=own))
+    return replace(side, terms=replace(side.terms, own=own), sets=None)
 
 
 def token_in(sample: bytes) -> DataHolder:

@@ -151,7 +151,7 @@ ATTACKS = (
         checks=(Code.C4,),
         also=(
             *(Code.C6, Code.C8, Code.C9, Code.C11, Code.C12, Code.C13, Code.C14, Code.C15),
-            *(Code.C16, Code.C17, Code.C18, Code.C20, Code.C22, Code.C28, *TRANSCRIPT),
+            *(Code.C16, Code.C17, Code.C18, Code.C20, Code.C22, Code.C28, Code.C29, *TRANSCRIPT),
         ),
         because="nothing has its name of the first version, and later checks miss the values",
         act=strip,

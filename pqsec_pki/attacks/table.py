@@ -11,6 +11,7 @@ from pqsec_pki.attacks import (
     _meddling,
     _misdelivery,
     _replays,
+    _sets,
     _tampering,
     _versions,
 )
@@ -26,6 +27,7 @@ ATTACKS: tuple[Attack, ...] = (
     *_insiders.ATTACKS,
     *_between.ATTACKS,
     *_versions.ATTACKS,
+    *_sets.ATTACKS,
 )
 
 

@@ -13,6 +13,7 @@ from pqsec_pki.cli import _completion, _help, _passphrases, _printing, _settings
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.cli.plugin import DEFAULT_FOLDER, default_folder
 from pqsec_pki.errors import UsageError, located
+from pqsec_pki.handshake import stock_name
 from pqsec_pki.keystore import Keystore, is_several
 from pqsec_pki.stacks import Stack
 from pqsec_pki.vendors import FASTRTPS, Export, Options, exporter_of, write
@@ -104,6 +105,15 @@ class _Middleware(click.Choice):  # type: ignore[type-arg] # generic in newer cl
     help="Run pqsec's plugin in Cyclone DDS, Fast DDS or OpenDDS, for post-quantum keys.",
 )
 @click.option(
+    "--stock",
+    metavar="NAME",
+    multiple=True,
+    help="With --plugin and several sets of credentials: this participant, or those of a pattern"
+    " ('/fleet/*'), may be met with the first set, as stock stacks are; all others are met with the"
+    " strongest only. May be given several times. [default: those that pqsec.toml names, else"
+    " nobody]",
+)
+@click.option(
     "--rmw",
     type=_Middleware([Stack.CYCLONEDDS.value, FASTRTPS]),
     help="With ros2 and --plugin: run it in this middleware, also rmw_fastrtps_cpp. [default: that"
@@ -166,9 +176,12 @@ def _options(  # noqa: PLR0913 -- one for each option of the command
     password_file: Path | None,
     rmw: str | None,
     plugin: bool,
+    stock: tuple[str, ...],
     loopback: bool,
     anyway: bool,
 ) -> Options:
+    if stock and not plugin:
+        raise UsageError("--stock is for --plugin", hint="a stock stack knows one set only")
     if plugin and at is not None and plugins is None:
         raise UsageError(
             "--at with --plugin needs --plugins",
@@ -183,6 +196,7 @@ def _options(  # noqa: PLR0913 -- one for each option of the command
         plugins=None if plugin else plugins,
         plugin=(plugins or default_folder()) if plugin else None,
         rmw=rmw,
+        stock=tuple(map(stock_name, stock)) or None,
         crypto=crypto,
         anyway=anyway,
         environment=dict(os.environ),

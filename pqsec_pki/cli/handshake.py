@@ -11,7 +11,7 @@ from pqsec_pki.cli import _completion, _help, _printing, _settings, _wire_versio
 from pqsec_pki.cli._handshake_lines import lines_of
 from pqsec_pki.cli._names import admitted
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
-from pqsec_pki.handshake import WireVersion
+from pqsec_pki.handshake import StockPeers, WireVersion, stock_name
 from pqsec_pki.keystore import Keystore, is_several, regular_name
 from pqsec_pki.selfcheck import (
     PQSEC,
@@ -28,12 +28,13 @@ from pqsec_pki.selfcheck import verify_handshake as run_between
 MATRIX_ROUNDS = 5
 _PAIR = 2
 _PAIR_OPTIONS = {"--domain", "--kem", "--as", "--set", _wire_version.NAME}
+_STOCK = "--stock"
 _MODE_OPTIONS = {
-    "two participants": _PAIR_OPTIONS,
+    "two participants": _PAIR_OPTIONS | {_STOCK},
     "--all": _PAIR_OPTIONS | {"--jobs"},
     "--matrix": {"--rounds"},
     "--trace": _PAIR_OPTIONS | {"--force", "--insecure-show-secrets"},
-    "--attack": {"--domain", "--kem", "--set", _wire_version.NAME},
+    "--attack": {"--domain", "--kem", "--set", _STOCK, _wire_version.NAME},
 }
 """Mode -> options that it accepts."""
 
@@ -111,6 +112,13 @@ _MODE_OPTIONS = {
     help="Use the credentials of this profile. [default: those of each set, one after the other;"
     " with --as a stock stack, those that it can use]",
 )
+@click.option(
+    _STOCK,
+    metavar="NAME",
+    multiple=True,
+    help="Let each side choose among its sets as pqsec's plugin does, if this participant, or those"
+    " of a pattern ('/fleet/*'), may be met with the first set. May be given several times.",
+)
 @_wire_version.option("Send messages of this version between pqsec peers; 2 is the shorter one.")
 @click.option(
     "--jobs",
@@ -176,6 +184,10 @@ def _named(count: int) -> str:
 
 
 def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
+    if stock := _stock(given):
+        report = _report(_settings.open_keystore(), names, given, stock)
+        _printing.emit(report.to_json(), [*lines_of(report)])
+        return report.ok
     sets = _sets(given)
     (profile, first), *others = [(each.profile.name, _report(each, names, given)) for each in sets]
     further = [{"profile": name, **report.to_json()} for name, report in others]
@@ -186,7 +198,12 @@ def _one_pair(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     return first.ok and all(report.ok for _, report in others)
 
 
-def _report(keystore: Keystore, names: tuple[str, ...], given: dict[str, Any]) -> HandshakeReport:
+def _report(
+    keystore: Keystore,
+    names: tuple[str, ...],
+    given: dict[str, Any],
+    stock: StockPeers | None = None,
+) -> HandshakeReport:
     return run_between(
         keystore,
         *names,
@@ -194,7 +211,8 @@ def _report(keystore: Keystore, names: tuple[str, ...], given: dict[str, Any]) -
         domain=given["domain"],
         stacks=_stacks(given["stacks"]),
         agreement=_agreement(given["kem"]),
-        versions=_versions(keystore, given),
+        versions=_versions(keystore.sets[-1] if stock else keystore, given),
+        stock=stock,
     )
 
 
@@ -243,14 +261,19 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
     from pqsec_pki.cli import _handshake_attacks  # noqa: PLC0415
 
     attacks = _handshake_attacks.attacks_named(given["attack"])
-    keystore, now, domain = _one_set(given), _settings.now(), given["domain"]
+    keystore, stock = _settings.open_keystore(), _stock(given)
+    if stock is None and len(keystore.profiles) > 1 and given["profile"] is None:
+        stock = StockPeers()
+    keystore = keystore if stock else _one_set(given)
+    now, domain = _settings.now(), given["domain"]
     agreement = _agreement(given["kem"])
     setup = HandshakeSetup(
         keystore=keystore,
         domain=domain or 0,
         now=now,
         agreement=agreement,
-        versions=_versions(keystore, given),
+        versions=_versions(keystore.sets[-1] if stock else keystore, given),
+        stock=stock,
     )
     joinable = JoinableDomains.of(setup, names)
     if domain is None:
@@ -258,6 +281,17 @@ def _attack(names: tuple[str, ...], given: dict[str, Any]) -> bool:
         setup = replace(setup, domain=joinable.domain)
     first, second = (HandshakeParty(name=name) for name in names)
     return _handshake_attacks.try_attacks(setup, (first, second), attacks)
+
+
+def _stock(given: dict[str, Any]) -> StockPeers | None:
+    """Whom --stock names; None without it. UsageError if there is nothing to choose."""
+    if not given["stock"]:
+        return None
+    if given["profile"] is not None:
+        raise UsageError(f"{_STOCK} and --set exclude each other")
+    if len(_settings.open_keystore().profiles) == 1:
+        raise UsageError(f"{_STOCK} is for a keystore with several sets of credentials")
+    return StockPeers(tuple(map(stock_name, given["stock"])))
 
 
 def _sets(given: dict[str, Any]) -> list[Keystore]:

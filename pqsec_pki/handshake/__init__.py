@@ -11,6 +11,14 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.handshake._cdr import ByteOrder
     from pqsec_pki.handshake._checks import check
+    from pqsec_pki.handshake.choice import (
+        PolicyRow,
+        StockPeers,
+        refuse_weak_set,
+        set_of,
+        set_to_ask_with,
+        stock_name,
+    )
     from pqsec_pki.handshake.compact import (
         CREDENTIALS_DICTIONARY,
         FIRST_ONLY,
@@ -94,12 +102,14 @@ __all__ = [
     "MessageSizes",
     "PeerRequirements",
     "PermissionsToken",
+    "PolicyRow",
     "RemotePeer",
     "Reply",
     "ReplySent",
     "Request",
     "RequestSent",
     "Sender",
+    "StockPeers",
     "Terms",
     "Transcript",
     "TransformationKind",
@@ -118,7 +128,11 @@ __all__ = [
     "participant_data",
     "participant_guid",
     "peer_certificate",
+    "refuse_weak_set",
     "reply_to",
+    "set_of",
+    "set_to_ask_with",
+    "stock_name",
     "token_message",
     "unprotect_payload",
     "unprotect_submessage",

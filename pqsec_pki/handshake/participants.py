@@ -89,6 +89,8 @@ class Discovered:
     guid: bytes | None = None
     future_challenge: bytes | None = None
     """The future challenge in the peer's AuthRequest."""
+    subject: bytes | None = None
+    """The subject (DER Name) that it announced; see choice.py."""
 
 
 NOTHING = Discovered()
@@ -204,6 +206,10 @@ class Terms:
         if not belongs_to(peer.guid, peer.certificate.subject_der):
             words = "the GUID in c.pdata does not belong to the certificate's subject"
             yield Problem(words, Code.C11)
+        # Not in the specification: that subject must be the announced one.
+        if self.discovered.subject not in (None, peer.certificate.subject_der):
+            words = "the certificate's subject is not the one that was announced"
+            yield Problem(words, Code.C29)
         # Not in the specification: it must also be the one that was discovered.
         if self.discovered.guid not in (None, peer.guid):
             words = "the GUID in c.pdata is not the one that was discovered"

@@ -55,6 +55,7 @@ class IdentityToken(_Token):
         "dds.ca.algo",
         "pqsec.kagree_algo",
         "pqsec.versions",
+        "pqsec.sets",
     )
 
     subject: str | None = None
@@ -65,6 +66,9 @@ class IdentityToken(_Token):
     """Names for c.kagree_algo that a Request may have, separated by commas."""
     versions: str | None = None
     """Versions that a Request may have, separated by commas; None: the first."""
+    sets: str | None = None
+    """Profiles of its sets of credentials, separated by commas; None: it has one, or does not
+    say."""
 
     @classmethod
     def of(cls, certificate: Certificate, ca: Certificate) -> Self:
@@ -83,8 +87,11 @@ class IdentityToken(_Token):
         ca: Certificate,
         agreements: Iterable[KeyAgreement],
         versions: Iterable[WireVersion] = FIRST_ONLY,
+        sets: Iterable[str] = (),
     ) -> Self:
         """The token that we send if we accept Requests for `agreements`, in those `versions`.
+
+        `sets` are the profiles of our sets of credentials, if we have several.
 
         Without dds.ca.sn: OpenDDS 3.33 and 3.34 compare it with their own spelling, and no
         other stack uses it.
@@ -96,6 +103,7 @@ class IdentityToken(_Token):
             ca_subject=None,
             agreements=names,
             versions=None if numbers == _ALONE else numbers,
+            sets=",".join(sets) or None,
         )
 
     def reads(self, version: WireVersion) -> bool:
@@ -104,6 +112,15 @@ class IdentityToken(_Token):
         As `knows`: a forger can have us use another version that we allow, or none.
         """
         return f"{version}" in (self.versions or _ALONE).split(",")
+
+    def has_set(self, profile: str, certificate: Certificate) -> bool:
+        """Whether the sender announces that it has credentials of that profile, or, as one with a
+        single set, a key as that of our `certificate`.
+
+        As `knows`: a forger can have us use another set that we allow for it, or none.
+        """
+        alike = self.algorithm == certificate.public_key.algorithm.token_name
+        return alike or profile in (self.sets or "").split(",")
 
     def knows(self, agreement: KeyAgreement) -> bool:
         """Whether the sender announces that it accepts a Request for `agreement`.

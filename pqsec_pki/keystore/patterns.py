@@ -3,17 +3,17 @@
 import re
 from collections.abc import Collection, Iterable, Mapping, Sequence
 
+from pqsec_pki._name_patterns import covers, is_pattern, whole
 from pqsec_pki.errors import MOST_MEANT, KeystoreError, meant, shown
 from pqsec_pki.problems import Code
 
 GROUP = "@"
 """Before the name of a group: neither a participant's name nor a serial number may have it."""
-_PARTS = {"**": ".*", "*": "[^/]*"}
 
 
 def is_several(name: str) -> bool:
     """Whether it is a pattern or a group, and not the name of one participant."""
-    return "*" in name or name.startswith(GROUP)
+    return is_pattern(name) or name.startswith(GROUP)
 
 
 def expanded(
@@ -39,13 +39,7 @@ def expanded(
 
 def matching(pattern: str, known: Iterable[str]) -> list[str]:
     """The names of `known` that the pattern matches, in their order."""
-    pieces = re.split(r"(\*\*?)", _whole(pattern))
-    compiled = re.compile("".join(_PARTS.get(each) or re.escape(each) for each in pieces))
-    return [name for name in known if compiled.fullmatch(name)]
-
-
-def _whole(pattern: str) -> str:
-    return pattern if pattern.startswith("/") else f"/{pattern}"
+    return [name for name in known if covers(pattern, name)]
 
 
 def _refusing_none(pattern: str, known: Sequence[str]) -> list[str]:
@@ -61,13 +55,13 @@ def _refusing_none(pattern: str, known: Sequence[str]) -> list[str]:
 
 def nearest(name: str, known: Collection[str]) -> str:
     """What of `known` a name or pattern that is not among them may have meant, in words; or ''."""
-    whole = _whole(name)
+    meant_name = whole(name)
     if not is_several(name):
-        return _below(whole, known) or meant(whole, known)
-    deeper = re.sub(r"\*+", "**", whole)
+        return _below(meant_name, known) or meant(meant_name, known)
+    deeper = re.sub(r"\*+", "**", meant_name)
     if matching(deeper, known):
         return f"* stands for no /, and ** does: '{shown(deeper)}'"
-    return meant(whole, known)
+    return meant(meant_name, known)
 
 
 def _below(name: str, known: Iterable[str]) -> str:

@@ -8,7 +8,13 @@ from dataclasses import astuple, replace
 from typing import Any
 
 from pqsec_pki.access import Action, Viewpoint, decide
-from pqsec_pki.credentials import GOVERNANCE, PERMISSIONS, grant_of, verify_documents
+from pqsec_pki.credentials import (
+    GOVERNANCE,
+    PERMISSIONS,
+    VerifiedDocuments,
+    grant_of,
+    verify_documents,
+)
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import DataHolder, PermissionsToken, peer_certificate
 from pqsec_pki.plugin import attributes, trust
@@ -18,11 +24,18 @@ from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
 from pqsec_pki.plugin.rights import LocalRights, RemoteRights, Rights, anywhere, end_of
+from pqsec_pki.plugin.sets import TrustedSets
 from pqsec_pki.plugin.trust import ParticipantTrust
 
 _PEERS = {PERMISSIONS: "the peer's permissions"}
 _TEXT = "surrogateescape"
 _OK = 0
+
+
+def _content(documents: VerifiedDocuments) -> tuple[bytes, bytes]:
+    """The signed octets of both, without their signatures."""
+    found = documents.governance, documents.permissions
+    return found[0].verified.document, found[1].verified.document
 
 
 class AccessControl:
@@ -38,32 +51,51 @@ class AccessControl:
     def validate_local_permissions(
         self, identity_handle: int, domain: int, folder: str, pairs: Pairs
     ) -> tuple[int, int, int]:
-        """The handle of a local participant's rights, and the second when they end."""
-        properties, now = Properties(pairs, folder), self._now()
-        trusted = ParticipantTrust.of(properties, now)
-        certificate, anchors = trusted.certificate, trusted.anchors
+        """The handle of a local participant's rights, and the second when they end.
+
+        The documents of all its sets must be valid, and say the same.
+        """
+        trusted = TrustedSets.of(Properties(pairs, folder), self._now())
+        found = [self._documents(each) for each in trusted.sets]
+        own, message = found[trusted.configured]
+        if any(_content(each) != _content(own) for each, _ in found):
+            raise VerificationError(
+                "the documents of two sets of credentials differ",
+                hint="issue them again, and install all sets: `pqsec check` finds what differs",
+            )
+        rights = LocalRights(
+            subject=trusted.sets[0].certificate.subject_name,
+            domain=domain,
+            governance=own.governance.value,
+            permissions=own.permissions.value,
+            anchors=tuple(each.anchors for each in trusted.sets),
+            message=message,
+            identity=identity_handle,
+        )
+        anchors = (each.anchors for each in trusted.sets)
+        ends = map(end_of, (each.grant for each, _ in found), anchors)
+        return _OK, self._handles.add(rights), min(ends)
+
+    def _documents(self, trusted: ParticipantTrust) -> tuple[VerifiedDocuments, bytes]:
+        """The valid documents of one set, and the signed permissions; VerificationError if not."""
+        properties = trusted.properties
         governance, message = (
             properties.source(trust.PROPERTIES[file]).read() for file in (GOVERNANCE, PERMISSIONS)
         )
         try:
             found = verify_documents(
-                certificate, anchors, governance=governance, permissions=message, now=now
+                trusted.certificate,
+                trusted.anchors,
+                governance=governance,
+                permissions=message,
+                now=self._now(),
             )
             trusted.refuse_unproven(governance, message)
         except VerificationError as error:
             raise trust.refusal(
                 error.problems, trust.places(properties), hint=error.hint
             ) from error
-        rights = LocalRights(
-            subject=certificate.subject_name,
-            domain=domain,
-            governance=found.governance.value,
-            permissions=found.permissions.value,
-            anchors=anchors,
-            message=message,
-            identity=identity_handle,
-        )
-        return _OK, self._handles.add(rights), end_of(found.grant, anchors)
+        return found, message
 
     def validate_remote_permissions(
         self, identity_handle: int, peer: int, token: DataHolder, credential: DataHolder
@@ -76,7 +108,8 @@ class AccessControl:
         certificate = peer_certificate(found.get("c.id", "").encode(errors=_TEXT))
         message = found.get("c.perm", "").encode(errors=_TEXT).rstrip(b"\0")
         try:
-            granted = own.anchors.permissions(message, now).value
+            anchors = own.anchors_for(certificate)
+            granted = anchors.permissions(message, now).value
             grant = grant_of(certificate, granted, now)
         except VerificationError as error:
             raise trust.refusal(error.problems, _PEERS, hint=error.hint) from error
@@ -86,7 +119,7 @@ class AccessControl:
             governance=own.governance,
             permissions=granted,
         )
-        return _OK, self._handles.add(rights), end_of(grant, own.anchors)
+        return _OK, self._handles.add(rights), end_of(grant, anchors)
 
     # The handle determines whose rights are checked: the local participant's when it creates an
     # entity, a peer's when the entity is discovered.

@@ -11,7 +11,6 @@ from enum import IntEnum
 
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.errors import VerificationError, shown
 from pqsec_pki.handshake import (
     AuthRequest,
@@ -21,6 +20,7 @@ from pqsec_pki.handshake import (
     Final,
     IdentityToken,
     PeerRequirements,
+    PolicyRow,
     RemotePeer,
     Reply,
     Request,
@@ -36,10 +36,10 @@ from pqsec_pki.plugin.identity import Local
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock
 from pqsec_pki.plugin.octets import Pairs
-from pqsec_pki.plugin.peer_table import Handshake, PeerTable
+from pqsec_pki.plugin.participant import Participant
+from pqsec_pki.plugin.peer_table import Handshake, PeerState, PeerTable, Remote
 from pqsec_pki.plugin.pending import PendingReplies
 from pqsec_pki.plugin.revocation_watch import RevocationWatch
-from pqsec_pki.plugin.trust import PROPERTIES
 
 NO_TOKEN = DataHolder("")
 """TOKEN_NIL. Cyclone DDS reads the length of the class id, so there must be one."""
@@ -82,48 +82,41 @@ class Authentication:
         whether the caller must call find_revoked."""
         del domain
         found = Properties(properties, folder)
-        local = Local.load(found, candidate, self._now())
-        if found.optional(PROPERTIES[PERMISSIONS]):
-            permissions = found.source(PROPERTIES[PERMISSIONS])
-            local = local.with_versions_for(permissions, self._note)
-        local = self._revocation_watch.admitted(local)
-        end = end_of(local.certificate, local.anchors.issuer_of(local.certificate))
+        participant = Participant.load(found, candidate, self._now(), self._note)
+        participant = self._revocation_watch.admitted(participant)
         return (
             ValidationResult.OK,
-            self._handles.add(local),
-            local.guid,
-            end,
-            local.revoked is not None,
+            self._handles.add(participant),
+            participant.guid,
+            end_of(*participant.certificates),
+            participant.has_list,
         )
 
     def get_identity_token(self, identity: int) -> tuple[ValidationResult, DataHolder]:
         """The IdentityToken that discovery announces."""
-        local = self._handles.get(identity, Local)
-        ca, agreements = local.anchors.identity_ca, local.policy.agreements
-        versions = local.policy.versions
-        token = IdentityToken.announced(local.certificate, ca, agreements, versions)
-        return ValidationResult.OK, token.to_holder()
+        participant = self._handles.get(identity, Participant)
+        return ValidationResult.OK, participant.token().to_holder()
 
     def set_permissions_credential_and_token(
         self, identity: int, credential: DataHolder, permissions: DataHolder
     ) -> tuple[ValidationResult]:
-        """Set the permissions document that handshakes will contain."""
+        """Set the permissions document that handshakes with the configured set will contain."""
         del permissions
-        local = self._handles.get(identity, Local)
+        participant = self._handles.get(identity, Participant)
         document = dict(credential.properties).get(CREDENTIAL_PROPERTY)
         if credential.class_id != CREDENTIAL or document is None:
             raise VerificationError(
                 f"a '{shown(credential.class_id)}' is not a permissions credential"
             )
         octets = document.encode(errors=_TEXT)
-        self._handles.replace(identity, replace(local, permissions=octets))
+        self._handles.replace(identity, participant.with_permissions(octets))
         return (ValidationResult.OK,)
 
     def validate_remote_identity(
         self, auth_request: DataHolder, identity: int, token: DataHolder, guid: bytes
     ) -> tuple[ValidationResult, int, DataHolder]:
         """The peer's handle, and our AuthRequest unless the peer's came first."""
-        local = self._handles.get(identity, Local)
+        participant = self._handles.get(identity, Participant)
         said = IdentityToken.from_holder(token)
         heard = AuthRequest.from_holder(auth_request) if auth_request.class_id else None
         handle, peer_state = self._peers.peer_state(identity, guid)
@@ -134,7 +127,7 @@ class Authentication:
         else:
             peer_state.announced = self._peers.challenge(identity, guid)
             answer = AuthRequest(future_challenge=peer_state.announced).to_holder()
-        first = initiates(local.guid, guid)
+        first = initiates(participant.guid, guid)
         result = (
             ValidationResult.PENDING_HANDSHAKE_REQUEST
             if first
@@ -149,9 +142,10 @@ class Authentication:
 
         VerificationError if the peer may not know the key agreement: no Request is sent.
         """
-        local, remote, peer_state = self._peers.met(identity, peer)
-        _check_known(peer_state.said, local.agreement)
-        discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
+        participant, remote, peer_state = self._peers.met(identity, peer)
+        local, row = participant.asks(peer_state.said, remote.guid)
+        _check_known(peer_state.said, local.agreement, several=participant.stock is not None)
+        discovered = _discovered(remote, peer_state, row)
         terms = local.terms(discovered, peer_state.announced, data)
         terms = replace(terms, policy=_read_by(peer_state.said, local.agreement, terms.policy))
         request, state = begin(terms, local.agreement)
@@ -162,15 +156,16 @@ class Authentication:
         self, token: DataHolder, peer: int, identity: int, data: bytes
     ) -> tuple[ValidationResult, int, DataHolder]:
         """The handshake's handle, and the Reply."""
-        local, remote, peer_state = self._peers.met(identity, peer)
-        request, now = Request.from_holder(token, local.policy.readable), self._now()
+        participant, remote, peer_state = self._peers.met(identity, peer)
+        request, now = Request.from_holder(token, participant.readable), self._now()
         certificate = RemotePeer.read(request.introduction).certificate
         self._peers.refuse_early(identity, certificate, now)
-        discovered = Discovered(guid=remote.guid, future_challenge=peer_state.heard)
+        local, row = participant.answers(peer_state.said, remote.guid, certificate)
+        discovered = _discovered(remote, peer_state, row)
         terms = local.terms(discovered, peer_state.announced, data)
         terms = replace(terms, own=replace(terms.own, ca=local.anchors.issuer_of(certificate)))
         reply, state = reply_to(terms, request, now=now)
-        handle = self._peers.answered(local, identity, peer, state, now)
+        handle = self._peers.answered(identity, peer, state, now)
         return ValidationResult.PENDING_HANDSHAKE_MESSAGE, handle, reply.to_holder()
 
     def process_handshake(
@@ -184,12 +179,12 @@ class Authentication:
             done = handshake.answer.receive(final)
             self._peers.finished(handshake, done)
             return ValidationResult.OK, NO_TOKEN
-        if handshake.asked is None:
+        if handshake.asked is None or handshake.asked_by is None:
             raise LateError("the handshake is over: the message came late, or twice")
         reply = Reply.from_holder(token, (handshake.asked.request.version,))
         if reply.dh1 in handshake.earlier:
             raise LateError("a Reply to a Request that was given up for a later one: it came late")
-        last, done = self._finish(handshake.local, handshake.asked, reply)
+        last, done = self._finish(handshake.asked_by, handshake.asked, reply)
         self._peers.finished(handshake, done)
         return ValidationResult.OK_FINAL_MESSAGE, last.to_holder()
 
@@ -202,11 +197,12 @@ class Authentication:
         """
         handshake, done = self._done(handle)
         certificate = done.peer.certificate
-        if self._handles.get(handshake.identity, Local).revokes(certificate):
+        participant = self._handles.get(handshake.identity, Participant)
+        if participant.revokes(certificate):
             raise VerificationError(
                 f"the certificate of {certificate.subject_name} was revoked meanwhile"
             )
-        end = end_of(certificate, handshake.local.anchors.issuer_of(certificate))
+        end = end_of(certificate, participant.set_of(certificate).anchors.issuer_of(certificate))
         return (
             ValidationResult.OK,
             handshake.remote,
@@ -263,9 +259,9 @@ class Authentication:
 
     def _certificate(self, handle: int) -> Certificate:
         """Certificate of a participant or an authenticated peer; VerificationError for others."""
-        local = self._handles.find(handle, Local)
-        if local is not None:
-            return local.certificate
+        participant = self._handles.find(handle, Participant)
+        if participant is not None:
+            return participant.first.certificate  # the subject is that of all sets
         for _, remote, certificate in self._peers.authenticated():
             if remote == handle:
                 return certificate
@@ -284,13 +280,19 @@ class Authentication:
         return handshake, handshake.done
 
 
-def _check_known(said: IdentityToken, agreement: KeyAgreement) -> None:
+def _discovered(remote: Remote, peer_state: PeerState, row: PolicyRow) -> Discovered:
+    """What the peer announced: GUID, challenge, and the name by which our policy knows it."""
+    return Discovered(guid=remote.guid, future_challenge=peer_state.heard, subject=row.subject)
+
+
+def _check_known(said: IdentityToken, agreement: KeyAgreement, *, several: bool) -> None:
     """VerificationError if the peer may not know it: OpenDDS crashes on an unknown one."""
     if not said.knows(agreement):
+        entry = 'stock = ["/name"]' if several else 'peers = "stock"'
         raise VerificationError(
             f"the peer does not say that it knows {agreement.wire_name}, so it was sent no"
             " request: it may be a stock stack",
-            hint='for peers with stock stacks put peers = "stock" in pqsec.toml',
+            hint=f"for peers with stock stacks put {entry} in pqsec.toml",
         )
 
 

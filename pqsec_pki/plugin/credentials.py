@@ -23,6 +23,7 @@ from pqsec_pki.plugin.property_names import understood
 from pqsec_pki.tokens import SCHEME, KeyUri, key_in, reference_to
 
 PRIVATE_KEY = "dds.sec.auth.private_key"
+PASSWORD = "dds.sec.auth.password"  # noqa: S105 -- a property's name
 MAX_TRUSTED = 64
 """Certificates in a folder of trusted CAs."""
 _CONTROL = set(map(chr, range(32)))

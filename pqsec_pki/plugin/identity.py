@@ -27,11 +27,10 @@ from pqsec_pki.handshake import (
     check_carried,
 )
 from pqsec_pki.plugin import credentials, trust
-from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
+from pqsec_pki.plugin.credentials import PASSWORD, FileState, Properties, Source, state_of
 from pqsec_pki.plugin.trust import ParticipantTrust
 from pqsec_pki.problems import Code, Problem
 
-_PASSWORD = "dds.sec.auth.password"  # noqa: S105 -- a property's name
 _WAY_OUT = 'put all files of the enclave there, or set peers = "stock" in pqsec.toml'
 
 
@@ -49,7 +48,7 @@ class LocalIdentity(Identity):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Local:
-    """A local participant: its certificate, keys, trust anchors and requirements."""
+    """A local participant in one set: its certificate, keys, trust anchors and requirements."""
 
     certificate: Certificate
     key: PrivateKey = field(repr=False)
@@ -67,15 +66,13 @@ class Local:
     """The signed permissions document; empty until access control has set it."""
 
     @classmethod
-    def load(cls, properties: Properties, candidate: bytes, now: datetime) -> Self:
+    def load(cls, trusted: ParticipantTrust, candidate: bytes, now: datetime) -> Self:
         """Steps of DDS-Security 1.1, 9.3.3, table 52, validate_local_identity.
 
         VerificationError with all problems, or the error of a file that is missing or cannot
         be read.
         """
-        source = trust.list_source(properties)
-        state = state_of(source)
-        trusted = ParticipantTrust.of(properties, now)
+        properties = trusted.properties
         certificate, anchors = trusted.certificate, trusted.anchors
         policy = trusted.settings.policy(certificate)
         key, second = _keys(properties, both=policy.require_alternative)
@@ -92,8 +89,8 @@ class Local:
             certificate=certificate,
             key=pair_private(key, second) if second else key,
             anchors=anchors,
-            list_at=source,
-            list_state=state,
+            list_at=trusted.list_at,
+            list_state=trusted.list_state,
             guid=adjusted_guid(certificate.subject_der, candidate),
             agreement=trusted.settings.agreements[0],
             policy=policy,
@@ -167,7 +164,7 @@ class Local:
 
 def _keys(properties: Properties, *, both: bool) -> tuple[PrivateKey, PrivateKey | None]:
     """The certificate's key, and with `both` its alternative key, if that exists."""
-    password = properties.optional(_PASSWORD)
+    password = properties.optional(PASSWORD)
     key = credentials.key_at(properties.source(trust.PROPERTIES[KEY]), password)
     beside = trust.beside(properties, ALT_KEY) if both else None
     return key, credentials.key_at(beside, password) if beside else None

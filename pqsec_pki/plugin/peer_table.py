@@ -17,6 +17,7 @@ from pqsec_pki.errors import VerificationError
 from pqsec_pki.handshake import CHALLENGE_SIZE, Done, IdentityToken, ReplySent, RequestSent
 from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
+from pqsec_pki.plugin.participant import Participant
 from pqsec_pki.plugin.pending import MAX_HELD, PendingReplies, Rates
 
 MAX_WAITING = 4096
@@ -56,13 +57,14 @@ class Handshake:
     new one is finished too, because any process on the network can send a Request.
     """
 
-    local: Local
     identity: int
-    """Its handle."""
+    """The handle of the local participant."""
     remote: int
     """The handle of the peer's identity."""
     asked: RequestSent | None = None
     """Our latest Request, which waits for a Reply."""
+    asked_by: Local | None = None
+    """The set of that Request."""
     earlier: list[bytes] = field(default_factory=list)
     """dh1 of earlier Requests, which the latest one replaces."""
     answer: ReplySent | None = None
@@ -114,9 +116,9 @@ class PeerTable:
             del self._challenges[next(iter(self._challenges))]
         return found
 
-    def met(self, identity: int, peer: int) -> tuple[Local, Remote, PeerState]:
+    def met(self, identity: int, peer: int) -> tuple[Participant, Remote, PeerState]:
         """The two, and the state between them; VerificationError if they have not met."""
-        local, remote = self._handles.get(identity, Local), self._handles.get(peer, Remote)
+        local, remote = self._handles.get(identity, Participant), self._handles.get(peer, Remote)
         if identity not in remote.states:
             raise VerificationError("a handshake with a peer that was not validated")
         return local, remote, remote.states[identity]
@@ -126,18 +128,16 @@ class PeerTable:
         self._rates.setdefault(identity, Rates()).refuse_early(certificate, now)
 
     def asked(self, local: Local, identity: int, peer: int, state: RequestSent) -> int:
-        """Record our Request, in place of an earlier one: the handshake's handle."""
-        handle, handshake = self._handshake(local, identity, peer)
+        """Record the Request of that set, in place of an earlier one: the handshake's handle."""
+        handle, handshake = self._handshake(identity, peer)
         if handshake.asked:
             handshake.earlier = [*handshake.earlier, handshake.asked.request.dh1][-MAX_EARLIER:]
-        handshake.asked = state
+        handshake.asked, handshake.asked_by = state, local
         return handle
 
-    def answered(
-        self, local: Local, identity: int, peer: int, state: ReplySent, now: datetime
-    ) -> int:
+    def answered(self, identity: int, peer: int, state: ReplySent, now: datetime) -> int:
         """Record our Reply, in place of an earlier one: the handshake's handle."""
-        handle, handshake = self._handshake(local, identity, peer)
+        handle, handshake = self._handshake(identity, peer)
         certificate = state.peer.certificate
         self._rates.setdefault(identity, Rates()).count(certificate, now)
         self._forget_answer(handshake)
@@ -180,7 +180,7 @@ class PeerTable:
         self._waiting.pop(handle, None)
         self._rates.pop(handle, None)
         states: list[PeerState | None] = []
-        if isinstance(gone, Local):
+        if isinstance(gone, Participant):
             for key in [each for each in self._challenges if each[0] == handle]:
                 del self._challenges[key]
             states = [each.states.pop(handle, None) for _, each in self._handles.all(Remote)]
@@ -222,15 +222,14 @@ class PeerTable:
             self._note("too many peers and handshakes: the oldest unauthenticated peer is dropped")
             self.drop(oldest)
 
-    def _handshake(self, local: Local, identity: int, peer: int) -> tuple[int, Handshake]:
+    def _handshake(self, identity: int, peer: int) -> tuple[int, Handshake]:
         """The handle and the handshake of the two; a new one if there is none."""
         _, _, peer_state = self.met(identity, peer)
         if peer_state.handshake is not None:
             handshake = self._handles.find(peer_state.handshake, Handshake)
             if handshake is not None:
-                handshake.local = local
                 return peer_state.handshake, handshake
         self._make_room(peer)
-        handshake = Handshake(local, identity, peer)
+        handshake = Handshake(identity, peer)
         peer_state.handshake = self._handles.add(handshake)
         return peer_state.handshake, handshake

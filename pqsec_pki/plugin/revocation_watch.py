@@ -9,6 +9,7 @@ from pqsec_pki.plugin.handles import Handles
 from pqsec_pki.plugin.identity import Local
 from pqsec_pki.plugin.lists import NewestLists
 from pqsec_pki.plugin.notes import Clock
+from pqsec_pki.plugin.participant import Participant
 from pqsec_pki.plugin.peer_table import PeerTable
 
 
@@ -27,11 +28,14 @@ class RevocationWatch:
         self._lists, self._now, self._note = newest, clock, note
         self._told: set[int] = set()
 
-    def admitted(self, local: Local) -> Local:
-        """A new participant, with the newest list of its CA that the agent knows.
+    def admitted(self, participant: Participant) -> Participant:
+        """A new participant, with the newest lists of its CAs that the agent knows.
 
-        VerificationError if the list revokes it, or is not valid.
+        VerificationError if a list revokes it, or is not valid.
         """
+        return replace(participant, sets=tuple(map(self._admitted, participant.sets)))
+
+    def _admitted(self, local: Local) -> Local:
         newest = self._with_newest(local)
         if newest is not local:
             problems = tuple(newest.anchors.identity_problems(newest.certificate, self._now()))
@@ -57,18 +61,25 @@ class RevocationWatch:
     def _read_again(self) -> PqsecError | None:
         """Read the lists whose files have changed, for later handshakes; returns the last error."""
         refusal = None
-        for handle, local in self._handles.all(Local):
-            try:
-                fresh = local.with_newer_list()
-                newest = self._with_newest(fresh)
-            except PqsecError as error:
-                refusal = error
-                continue
-            if fresh is not local and newest is not fresh and fresh.revoked and newest.revoked:
-                refusal = lists.refusal(fresh.revoked, newest.revoked)
-                newest = replace(newest, list_state=local.list_state)  # to report it again
-            self._handles.replace(handle, newest)
+        for handle, participant in self._handles.all(Participant):
+            sets = list(participant.sets)
+            for number, local in enumerate(sets):
+                try:
+                    sets[number], refused = self._renewed(local)
+                except PqsecError as error:
+                    refused = error
+                refusal = refused or refusal
+            self._handles.replace(handle, replace(participant, sets=tuple(sets)))
         return refusal
+
+    def _renewed(self, local: Local) -> tuple[Local, PqsecError | None]:
+        """`local` with the list that applies now, and why that is not its own file's, if so."""
+        fresh = local.with_newer_list()
+        newest = self._with_newest(fresh)
+        if fresh is not local and newest is not fresh and fresh.revoked and newest.revoked:
+            refusal = lists.refusal(fresh.revoked, newest.revoked)
+            return replace(newest, list_state=local.list_state), refusal  # to report it again
+        return newest, None
 
     def _with_newest(self, local: Local) -> Local:
         """`local`, or the same with a newer list that another participant of its CA has."""
@@ -85,10 +96,10 @@ class RevocationWatch:
         return local.with_list(newest)
 
     def _revoked(self) -> Iterator[int]:
-        locals_ = dict(self._handles.all(Local))
-        for handle, local in locals_.items():
-            if local.revokes(local.certificate):
+        participants = dict(self._handles.all(Participant))
+        for handle, participant in participants.items():
+            if participant.is_revoked:
                 yield handle
         for identity, peer, certificate in self._peers.authenticated():
-            if locals_[identity].revokes(certificate):
+            if participants[identity].revokes(certificate):
                 yield peer

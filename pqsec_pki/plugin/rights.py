@@ -7,6 +7,7 @@ from typing import ClassVar
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import SPEC, Action, Question, Viewpoint
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import (
     Criteria,
@@ -18,6 +19,7 @@ from pqsec_pki.documents import (
     TopicRule,
 )
 from pqsec_pki.errors import VerificationError
+from pqsec_pki.handshake import set_of
 from pqsec_pki.problems import Code
 
 
@@ -61,13 +63,18 @@ class Rights:
 class LocalRights(Rights):
     """The rights of a local participant."""
 
-    anchors: TrustAnchors
-    """The trust anchors that verify its documents and its peers'."""
+    anchors: tuple[TrustAnchors, ...]
+    """The trust anchors of each of its sets of credentials, which verify its documents and those of
+    peers with certificates of that set."""
     message: bytes = field(repr=False)
     """The signed permissions document."""
     identity: int
     """The handle of the identity."""
     side: ClassVar[Viewpoint] = Viewpoint.OWN
+
+    def anchors_for(self, certificate: Certificate) -> TrustAnchors:
+        """Those of the set that a peer's certificate belongs to, which the handshake verified."""
+        return self.anchors[set_of(certificate, [each.identity_cas for each in self.anchors])]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

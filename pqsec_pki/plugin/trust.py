@@ -2,7 +2,7 @@
 
 from collections.abc import Collection, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import field, replace
 from datetime import datetime
 from pathlib import Path
 from typing import Self
@@ -26,9 +26,9 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located
 from pqsec_pki.plugin import credentials
-from pqsec_pki.plugin.credentials import Properties, Source
+from pqsec_pki.plugin.credentials import FileState, Properties, Source, state_of
 from pqsec_pki.plugin.property_names import REVOCATION_LIST as LIST_PROPERTY
-from pqsec_pki.plugin.settings import AgentSettings
+from pqsec_pki.plugin.settings import AgentSettings, SettingsFile
 from pqsec_pki.problems import Problem
 
 PROPERTIES: Mapping[str, str] = {
@@ -43,31 +43,48 @@ PROPERTIES: Mapping[str, str] = {
 """File of an enclave -> the property that names it."""
 _NEIGHBOURS: Mapping[str, str] = {ALT_KEY: KEY, PERMISSIONS_ALT_CA: PERMISSIONS_CA}
 """File that no property names -> the file that it is beside."""
-_TRUSTED = "dds.sec.auth.trusted_ca_dir"
+TRUSTED = "dds.sec.auth.trusted_ca_dir"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ParticipantTrust:
     """The participant's certificate and its trust anchors, which both plugins read first."""
 
+    properties: Properties = field(repr=False)
+    """Those that name its files."""
     certificate: Certificate
     settings: AgentSettings
     anchors: TrustAnchors
     proof: Path | None
     """The proof beside the certificate, if there is one and it is demanded."""
+    list_at: Source | None
+    """Its revocation list."""
+    list_state: FileState
+    """The state of the list's file before it was read."""
 
     @classmethod
-    def of(cls, properties: Properties, now: datetime) -> Self:
+    def of(
+        cls,
+        properties: Properties,
+        now: datetime,
+        file: SettingsFile | None = None,
+        *,
+        strongest: bool = True,
+    ) -> Self:
         """Read both from the properties. Only CAs in a folder are verified, at `now`.
 
-        MalformedError or FileError, which name the file; UsageError for a property or a setting.
+        `file` is the file of settings, by default that beside the certificate; `strongest` whether
+        this is the only set, or the strongest. MalformedError or FileError, which name the file;
+        UsageError for a property or a setting.
         """
         source = properties.source(PROPERTIES[CERTIFICATE])
         certificate = credentials.certificate_at(source)
-        settings = AgentSettings.of(certificate, source)
+        made = AgentSettings.of if strongest else AgentSettings.of_weaker
+        settings = made(certificate, SettingsFile.beside(source) if file is None else file)
         own = credentials.certificates_at(properties.source(PROPERTIES[IDENTITY_CA]))
         signer = properties.source(PROPERTIES[PERMISSIONS_CA])
         second, revoked = beside(properties, PERMISSIONS_ALT_CA), list_source(properties)
+        state = state_of(revoked)
         anchors = TrustAnchors(
             identity_cas=(*own, *_others(properties, own, now)),
             permissions_ca=credentials.certificate_at(signer),
@@ -76,7 +93,15 @@ class ParticipantTrust:
             stock_peers=settings.stock_peers,
         )
         proof = source.beside(PROOF) if settings.proofs else None
-        return cls(certificate=certificate, settings=settings, anchors=anchors, proof=proof)
+        return cls(
+            properties=properties,
+            certificate=certificate,
+            settings=settings,
+            anchors=anchors,
+            proof=proof,
+            list_at=revoked,
+            list_state=state,
+        )
 
     def refuse_unproven(self, governance: bytes, permissions: bytes) -> None:
         """VerificationError or MalformedError without a proof that holds, if it is demanded."""
@@ -98,7 +123,7 @@ def list_source(properties: Properties) -> Source | None:
     """Its revocation list; None without one. UsageError if it has a folder of trusted CAs too."""
     if not properties.optional(LIST_PROPERTY):
         return None
-    if properties.optional(_TRUSTED):
+    if properties.optional(TRUSTED):
         raise UsageError(
             "a revocation list and a folder of trusted CAs exclude each other, as in Cyclone DDS",
             hint="the list is the identity CA's; for the others there would be none",
@@ -150,7 +175,7 @@ def _others(
 ) -> Iterator[Certificate]:
     """The valid identity CAs in a folder, each key once. Invalid ones are ignored: only their
     participants are refused."""
-    folder, known = properties.folder(_TRUSTED), {each.spki for each in own}
+    folder, known = properties.folder(TRUSTED), {each.spki for each in own}
     for each in credentials.certificates_below(folder) if folder else ():
         with suppress(PqsecError):
             verify_authority(each, now=now)

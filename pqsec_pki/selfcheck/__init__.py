@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         StoppedError,
     )
     from pqsec_pki.selfcheck.run import HandshakeRun
-    from pqsec_pki.selfcheck.session import HandshakeSession, Relay, SessionSide
+    from pqsec_pki.selfcheck.session import HandshakeSession, Relay, SessionSide, SideSets
     from pqsec_pki.selfcheck.shared_domains import JoinableDomains, verify_handshake
     from pqsec_pki.selfcheck.stacks import PQSEC, STACKS, SimulatedStack, stack_named
     from pqsec_pki.selfcheck.summary import Cause, Summary, faults
@@ -65,6 +65,7 @@ __all__ = [
     "Relay",
     "Sent",
     "SessionSide",
+    "SideSets",
     "SimulatedStack",
     "Steps",
     "StoppedError",

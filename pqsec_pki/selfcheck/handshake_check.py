@@ -5,7 +5,7 @@ import shlex
 from contextlib import suppress
 from dataclasses import field, replace
 from datetime import datetime
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import ParticipantDocuments
@@ -16,6 +16,7 @@ from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.handshake import (
     FIRST_ONLY,
     Identity,
+    StockPeers,
     Terms,
     WireVersion,
     adjusted_guid,
@@ -28,6 +29,7 @@ from pqsec_pki.selfcheck.credentials import check_documents, check_identity, ren
 from pqsec_pki.selfcheck.report import HandshakeReport, Steps, StoppedError
 from pqsec_pki.selfcheck.run import HandshakeRun
 from pqsec_pki.selfcheck.session import HandshakeSession, SessionSide
+from pqsec_pki.selfcheck.sets import PartyInSets, sides_by_policy
 from pqsec_pki.selfcheck.stacks import PQSEC, SimulatedStack, asked, policy
 from pqsec_pki.smime import document_in
 
@@ -54,6 +56,9 @@ class HandshakeSetup:
     """None: the profile's, or the one that the stacks ask for."""
     versions: tuple[WireVersion, ...] = FIRST_ONLY
     """The versions of messages that pqsec sends and accepts, the first one preferred."""
+    stock: StockPeers | None = None
+    """Of a keystore with several sets: who may be met with the first one; participants then choose
+    the set as pqsec's plugin does. None: the keystore's own set is used."""
     _read: dict[str, Credentials] = field(default_factory=dict, compare=False, repr=False)
     _documents: dict[str, ParticipantDocuments] = field(
         default_factory=dict, compare=False, repr=False
@@ -63,6 +68,10 @@ class HandshakeSetup:
     def profile(self) -> Profile:
         """The keystore's profile."""
         return self.keystore.profile
+
+    def in_set(self, keystore: Keystore) -> Self:
+        """The same for one set of the keystore."""
+        return replace(self, keystore=keystore, stock=None, _read={}, _documents={})
 
     def participant(self, name: str) -> Credentials:
         """The participant of that name, read from the keystore once; errors as of a keystore."""
@@ -160,16 +169,20 @@ class HandshakeCheck:
 
     def prepare(self, first: HandshakeParty, second: HandshakeParty) -> HandshakeSession:
         """Check both participants, and decide which initiates. StoppedError if a check fails."""
-        return self.pair(self._load(first), self._load(second))
+        if self.setup.stock is None:
+            return self.pair(self._load(first), self._load(second))
+        parties = self._in_sets(first, second.stack), self._in_sets(second, first.stack)
+        with self.steps.step("initiator") as detail:
+            _refuse_one(first.name, second.name)
+            session = self._by_policy(*parties, self.setup.stock)
+            self.run = HandshakeRun(session, self.steps)
+            detail.append(_why(session))
+        return session
 
     def pair(self, one: LoadedParty, other: LoadedParty) -> HandshakeSession:
         """Decide which of two valid participants initiates. StoppedError if neither can."""
         with self.steps.step("initiator") as detail:
-            if one.participant.name == other.participant.name:
-                raise VerificationError(
-                    f"both are {one.participant.name}: a participant has no handshake with itself",
-                    hint="name two different participants",
-                )
+            _refuse_one(one.participant.name, other.participant.name)
             session = self._assign_roles(one, other)
             self.run = HandshakeRun(session, self.steps)
             detail.append(_why(session))
@@ -205,21 +218,39 @@ class HandshakeCheck:
         check_party(self.setup, loaded, self.steps)
         return loaded
 
+    def _in_sets(self, party: HandshakeParty, peer: SimulatedStack) -> PartyInSets:
+        """The participant in each set that it has; a stock stack has the first one."""
+        sets = self.setup.keystore.sets[: 1 if party.stack.is_stock else None]
+        checks = [HandshakeCheck(self.setup.in_set(each), self.steps) for each in sets]
+        sides = [each._side(each._load(party), peer) for each in checks]  # noqa: SLF001 -- its own
+        return PartyInSets.of([each.profile for each in sets], sides)
+
+    def _by_policy(
+        self, one: PartyInSets, other: PartyInSets, stock: StockPeers
+    ) -> HandshakeSession:
+        """The session in which each side chooses the set as its policy says."""
+        initiator, replier, profile = sides_by_policy(one, other, stock)
+        return self._session(initiator, replier, profile)
+
+    def _session(
+        self, initiator: SessionSide, replier: SessionSide, profile: Profile
+    ) -> HandshakeSession:
+        setup = self.setup
+        return HandshakeSession(
+            initiator=initiator,
+            replier=replier,
+            agreement=asked(initiator.stack, replier.stack, profile, setup.agreement),
+            profile=profile,
+            domain=setup.domain,
+            now=setup.now,
+        )
+
     def _assign_roles(self, one: LoadedParty, other: LoadedParty) -> HandshakeSession:
         """Assign initiator and replier: the participant with the smaller GUID initiates."""
         sides = self._side(one, other.stack), self._side(other, one.stack)
         if not initiates(sides[0].guid, sides[1].guid):
             sides = sides[::-1]
-        initiator, replier = sides
-        setup = self.setup
-        return HandshakeSession(
-            initiator=initiator,
-            replier=replier,
-            agreement=asked(initiator.stack, replier.stack, setup.profile, setup.agreement),
-            profile=setup.profile,
-            domain=setup.domain,
-            now=setup.now,
-        )
+        return self._session(*sides, self.setup.profile)
 
     def _side(self, loaded: LoadedParty, peer: SimulatedStack) -> SessionSide:
         """What a participant sends and requires, given the stack of its peer."""
@@ -240,6 +271,14 @@ class HandshakeCheck:
             participant=participant,
             stack=own,
             terms=Terms(own=identity, policy=demands, conventions=own.conventions),
+        )
+
+
+def _refuse_one(one: str, other: str) -> None:
+    if regular_name(one) == regular_name(other):
+        raise VerificationError(
+            f"both are {regular_name(one)}: a participant has no handshake with itself",
+            hint="name two different participants",
         )
 
 

@@ -22,6 +22,7 @@ from pqsec_pki.handshake import (
     GenericMessage,
     KeyMaterial,
     MessageClass,
+    RemotePeer,
     Reply,
     Request,
     Terms,
@@ -82,8 +83,18 @@ class HandshakeRun:
 
     def _terms(self, own: SessionSide, announced: bytes | None, received: bytes | None) -> Terms:
         """The terms of `own`, with what discovery showed about the peer."""
-        discovered = Discovered(guid=self.session.peer_of(own), future_challenge=received)
+        discovered = Discovered(
+            guid=self.session.peer_of(own), future_challenge=received, subject=own.peer_subject
+        )
         return replace(own.terms, discovered=discovered, announced=announced)
+
+    def _answering(self, replier: SessionSide, terms: Terms, request: Request) -> Terms:
+        """The terms of the set with which the replier answers; its side is then that of the set."""
+        if replier.sets is None:
+            return terms
+        side = replier.answering(RemotePeer.read(request.introduction).certificate)
+        self.session = replace(self.session, replier=side)
+        return replace(side.terms, discovered=terms.discovered, announced=terms.announced)
 
     def _auth_request(
         self, sender: SessionSide, receiver: SessionSide
@@ -106,6 +117,7 @@ class HandshakeRun:
             detail.extend(self._size(initiator))
         with self._step("reply", replier) as detail:
             heard = Request.from_holder(_opened("request", arrived, replier))
+            theirs = self._answering(replier, theirs, heard)
             reply, awaiting = reply_to(theirs, heard, now=now)
             arrived = self._send("reply", reply.to_holder(), replier, initiator)
             detail.extend(self._size(replier))

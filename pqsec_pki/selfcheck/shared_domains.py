@@ -9,7 +9,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import may_join, topics_between
 from pqsec_pki.algorithms import KeyAgreement
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.handshake import FIRST_ONLY, WireVersion
+from pqsec_pki.handshake import FIRST_ONLY, StockPeers, WireVersion
 from pqsec_pki.keystore import Keystore, regular_name
 from pqsec_pki.selfcheck.handshake_check import (
     HandshakeCheck,
@@ -87,17 +87,24 @@ def verify_handshake(  # noqa: PLR0913 -- the choices are the user's, and by nam
     stacks: tuple[SimulatedStack, SimulatedStack] = (PQSEC, PQSEC),
     agreement: KeyAgreement | None = None,
     versions: tuple[WireVersion, ...] = FIRST_ONLY,
+    stock: StockPeers | None = None,
 ) -> HandshakeReport:
     """Run the handshake between two participants, and report its steps and their common topics.
 
     The report ends at the first step that fails. Without `domain`, the handshake is on the first
     domain that both may join; if there is none, each is checked alone, and the step `common
     domain` fails. `stacks` are those that the two behave like; `agreement` replaces the
-    profile's key agreement; pqsec's messages have one of `versions`. KeystoreError if a participant
-    does not exist.
+    profile's key agreement; pqsec's messages have one of `versions`. With `stock`, of a keystore
+    with several sets, each side chooses the set as pqsec's plugin does. KeystoreError if a
+    participant does not exist.
     """
     setup = HandshakeSetup(
-        keystore=keystore, domain=domain or 0, now=now, agreement=agreement, versions=versions
+        keystore=keystore,
+        domain=domain or 0,
+        now=now,
+        agreement=agreement,
+        versions=versions,
+        stock=stock,
     )
     joinable = JoinableDomains.of(setup, (first, second))
     if domain is None:

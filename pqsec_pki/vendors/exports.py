@@ -56,6 +56,9 @@ class Options:
     """The middleware of ROS 2 that is to run our plugin; None: see `runs_in`."""
     crypto: Path | None = None
     """The stack's own plugin for encryption, if it is not in `plugins`, or our plugin runs."""
+    stock: tuple[str, ...] | None = None
+    """With our plugin and several sets of credentials: the names and patterns of participants that
+    may be met with the first; None: those that `pqsec.toml` has."""
     anyway: bool = False
     """Whether to write an export that the stack is known to refuse, with a warning."""
     environment: Mapping[str, str] = field(default_factory=dict, repr=False)

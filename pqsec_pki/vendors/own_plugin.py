@@ -85,12 +85,12 @@ def refusal(enclave: StackEnclave, options: Options, now: datetime) -> Verificat
 def _ask(enclave: StackEnclave, options: Options, now: datetime) -> None:
     from pqsec_pki.plugin.access_control import AccessControl  # noqa: PLC0415 -- heavy
     from pqsec_pki.plugin.credentials import Properties  # noqa: PLC0415 -- likewise
-    from pqsec_pki.plugin.identity import Local  # noqa: PLC0415 -- likewise
+    from pqsec_pki.plugin.participant import Participant  # noqa: PLC0415 -- likewise
 
     pairs = tuple(_properties(enclave, options).items())
     is_open = enclave.key_uri is None and not enclave.key_is_encrypted
     if _is_file(enclave.folder / KEY) and (options.password or is_open):
-        Local.load(Properties(pairs, "/"), _CANDIDATE, now)
+        Participant.load(Properties(pairs, "/"), _CANDIDATE, now, lambda _: None)
     AccessControl(lambda: now).validate_local_permissions(0, _ANY_DOMAIN, "/", pairs)
 
 

@@ -5,12 +5,12 @@ from datetime import datetime
 from pathlib import Path
 
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
-from pqsec_pki.keystore import CurrentFiles, Keystore, public_files, refuse_further_sets
+from pqsec_pki.keystore import CurrentFiles, Keystore, public_files
 from pqsec_pki.lint import Finding, Severity, check, largest_messages
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.stacks import Stack
 from pqsec_pki.tokens import SCHEME
-from pqsec_pki.vendors import _datagrams, _first_set, own_plugin
+from pqsec_pki.vendors import _datagrams, _first_set, _plugin_sets, own_plugin
 from pqsec_pki.vendors.enclave import StackEnclave
 from pqsec_pki.vendors.exporters import EXPORTERS, Exporter, exporter_of
 from pqsec_pki.vendors.exports import Export, Options
@@ -27,13 +27,12 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     KeystoreError if there is no such participant, or, unless `options.anyway`, a file is not the
     newest by the ledger; FileError if our plugin is not there.
     """
-    if options.plugin:
-        refuse_further_sets(keystore, "`pqsec export --plugin` configures")
+    _plugin_sets.refuse_unfit(keystore, stack, options)
     exporter = exporter_of(stack)
     exporter.refuse_unknown(options)
     _refuse_place(exporter, options)
     _refuse_plugin(exporter, options)
-    enclave = StackEnclave.find(keystore, name, options.at)
+    enclave = _plugin_sets.enclave_for(keystore, name, options)
     if options.password is not None and not enclave.key_is_encrypted:
         raise UsageError(f"the key of {enclave.name} is not encrypted: it needs no passphrase")
     _refuse_token(exporter, enclave, options)
@@ -41,19 +40,21 @@ def export(stack: str, keystore: Keystore, name: str, options: Options, *, now: 
     if unfit and not options.anyway:
         plugin = "; or run pqsec's plugin in it: --plugin" if exporter.loads_ours else ""
         raise VerificationError(unfit, hint=_first_set.way_out(keystore) + plugin)
-    made = exporter.make(enclave, options)
+    made = _plugin_sets.with_settings(exporter.make(enclave, options), keystore, enclave, options)
     report = check([enclave.folder], now=now, targets=[exporter.stack])
     found: dict[Severity | None, list[Finding]] = {}
     for finding in report.findings:
         found.setdefault(exporter.severity(finding, options), []).append(finding)
     errors, warnings = found.get(Severity.ERROR, []), found.get(Severity.WARNING, [])
     refusal = _refusal(exporter, enclave, errors, options, now)
+    refusal = refusal or _plugin_sets.refusal(keystore, name, options, now)
     if refusal and not options.anyway:
         raise refusal
     refused = [*map(str, refusal.problems if refusal else ())]
     refused += () if unfit is None else (str(unfit),)
     try:
-        refused += _not_compared(keystore, enclave.name)
+        for each in keystore.sets if options.plugin else (keystore,):
+            refused += _not_compared(each, enclave.name)
     except (KeystoreError, VerificationError) as error:
         if not options.anyway:
             raise

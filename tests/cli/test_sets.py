@@ -65,7 +65,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
     [
         "ca rotate --profile pq",
         "ca crl --show -o x",
-        "export cyclonedds /talker --plugin",
         "ledger move postgresql://u@h/d",
         "report -o x",
         "migrate plan --to pq",
@@ -134,7 +133,7 @@ def test_a_stock_stack_is_only_met_with_what_it_can_use(pqsec, k):
 
 def test_one_set_is_named_for_what_takes_one(pqsec, k):
     del k
-    for more in ("--all", "/talker /listener --trace -", "/talker /listener --attack all"):
+    for more in ("--all", "/talker /listener --trace -"):
         pqsec(f"-k k verify-handshake {more}").refused(2, "name one with --set: classical, hybrid")
     pqsec("-k k verify-handshake --all --set hybrid").done()
     pqsec("-k k verify-handshake /talker /listener --set hybrid").done()
@@ -214,3 +213,38 @@ def test_a_sealed_bundle_has_the_keys_of_all_sets(pqsec, k, tmp_path):
     pins = " ".join(pqsec("-k k ca show --pins").done().out.split())
     pqsec(f"install sealed --dir r {pins}").done()
     assert (tmp_path / "r/current/sets/hybrid/enclaves/talker/key.pem").exists()
+
+
+def test_a_mixed_pair_meets_with_the_first_set_if_stock_names_it(pqsec, k):
+    del k
+    line = "-k k verify-handshake /talker /listener --as cyclonedds --json"
+    value = pqsec(f"{line} --stock /listener").done().json
+    assert value["signature"] == "ECDSA-SHA256"
+    for other in ("/other", "/listener/*"):
+        done = pqsec(f"{line} --stock {other}")
+        assert done.code == 1
+    value = pqsec("-k k verify-handshake /talker /listener --stock '/*' --json").done().json
+    assert value["signature"].startswith("MLDSA65")
+
+
+def test_names_that_choose_nothing_are_usage_errors(pqsec, k):
+    del k
+    line = "-k k verify-handshake /talker /listener"
+    pqsec(f"{line} --stock /a --set hybrid").refused(2, "exclude each other")
+    pqsec(f"{line} --stock '/a b='").refused(2, "read differently")
+    pqsec(f"{line} --stock /a --trace -").refused(2, "not for --trace")
+    pqsec("-k one ca init --profile pq --no-passphrase").done()
+    for name in ("/talker", "/listener"):
+        pqsec(f"-k one issue {name} --publish x").done()
+    pqsec("-k one verify-handshake /talker /listener --stock /a").refused(2, "several sets")
+
+
+def test_attacks_are_on_the_choice_of_the_set_too(pqsec, k):
+    del k
+    line = "-k k verify-handshake /talker /listener --attack"
+    for name in ("weaker-set", "forged-weaker-set", "other-name", "mixed-sets"):
+        out = pqsec(f"{line} {name}").done().out
+        assert "1 attack in 2 attempts, all refused" in out
+    assert "3 attempts, all refused" in pqsec(f"{line} replay-weaker-set").done().out
+    assert "that is its policy" in pqsec(f"{line} weaker-set --stock '/*'").done().out
+    assert "one set" in pqsec(f"{line} weaker-set --set hybrid").done().out

@@ -33,6 +33,7 @@ class Outside:
 
 
 REPEATED = "both signatures cover the value, and a verifier has its own"
+ONE_SET = "each participant has one set of credentials"
 FORM = "every value has one encoding, and one reading"
 CHECKS: dict[str, Needed | Redundant | Outside] = {
     "C1": Outside(FORM),
@@ -108,5 +109,7 @@ CHECKS: dict[str, Needed | Redundant | Outside] = {
     ),
     "C27": Outside(FORM),
     "C28": Redundant("the hashes cover the version"),
+    "C29": Outside(ONE_SET),
+    "C30": Outside(ONE_SET),
 }
 """By number; a part of a check has a word behind it."""

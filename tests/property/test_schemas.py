@@ -17,7 +17,7 @@ from pqsec_pki.documents import governance_from_yaml, permissions_from_yaml
 from pqsec_pki.domain.reading import desired_in
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint.suppress import read_suppressions
-from pqsec_pki.plugin.settings import _parsed
+from pqsec_pki.plugin.settings import SettingsFile
 from pqsec_pki.server import read_settings
 from tests.json_schemas import schema_of
 from tests.longer import seeds
@@ -30,6 +30,7 @@ FILES = {
     ],
     "plugin": [
         "{peers: stock, key_agreements: [x25519mlkem768], wire_versions: [2, 1], proofs: true}",
+        "{stock: [/a, '/r/*'], sets: {classical: ../../../enclaves/a, hybrid: .}}",
     ],
     "serve": [
         """
@@ -135,7 +136,8 @@ def read_serve(data, path):
 
 def read_plugin(data, _path):
     settings = json.loads(data)
-    _parsed("\n".join(f"{key} = {toml(each)}" for key, each in settings.items()).encode())
+    text = "\n".join(f"{key} = {toml(each)}" for key, each in settings.items())
+    SettingsFile.parsed(text.encode())
 
 
 def toml(value):

@@ -16,6 +16,7 @@ from pqsec_pki.handshake import (
     Introduction,
     PeerRequirements,
     RemotePeer,
+    StockPeers,
     Terms,
     Transcript,
     _cdr,
@@ -28,11 +29,11 @@ from pqsec_pki.handshake import (
 from pqsec_pki.handshake.states import RequestSent
 from pqsec_pki.handshake.wire import MAX_SAMPLE
 from pqsec_pki.problems import Code
-from pqsec_pki.selfcheck import HandshakeSetup
+from pqsec_pki.selfcheck import HandshakeSetup, session
 from pqsec_pki.selfcheck import run as selfcheck_run
 from pqsec_pki.selfcheck.handshake_check import HandshakeCheck
 from pqsec_pki.selfcheck.report import Steps, StoppedError
-from tests.unit.test_attacks import GUESTS, NOW, made
+from tests.unit.test_attacks import GUESTS, NOW, SETS, made
 
 pytestmark = [
     pytest.mark.filterwarnings("ignore::cryptography.utils.CryptographyDeprecationWarning"),
@@ -129,6 +130,7 @@ class Checks:
             (Code.C26, selfcheck_run, "confirmed", lambda *_: None),
             (Code.C27, compact, "_inflated", partial(initiators_credentials, context)),
             (Code.C28, states, "check_version", lambda *_: None),
+            (Code.C30, session, "refuse_weak_set", lambda *_: None),
             (Code.OTHER, states, "_check_signature", lambda *_: None),  # C21, C24
             (Code.OTHER, RemotePeer, "read", self.somebody),  # C9, and C11 without a GUID
         ):
@@ -224,7 +226,8 @@ def context(tmp_path_factory):
     @cache
     def find(profile):
         keystore = made(tmp_path_factory.mktemp(profile) / "k", profile)
-        meeting = HandshakeCheck(HandshakeSetup(keystore=keystore, domain=0, now=NOW))
+        stock = StockPeers() if len(keystore.profiles) > 1 else None
+        meeting = HandshakeCheck(HandshakeSetup(keystore=keystore, domain=0, now=NOW, stock=stock))
         session = meeting.prepare(*GUESTS)
         meeting.perform(session)
         return AttackContext(session=session, recorded=meeting.report().sent)
@@ -256,7 +259,7 @@ def peeled(attack, context, checks):
 def test_an_attack_succeeds_without_the_checks_that_its_row_names(context, monkeypatch, attack):
     """Each attempt is tried again without what refused it, until nothing does."""
     first, later = set(), set()
-    for profile in ("transition", "classical"):
+    for profile in ("transition", "classical", SETS):
         found = context(profile)
         if attack.not_applicable(found.session):
             continue

@@ -16,6 +16,7 @@ from pqsec_pki.attacks.run import attempted, run_attacks
 from pqsec_pki.attacks.table import ATTACKS, attack_named
 from pqsec_pki.documents import DomainSet, Permissions
 from pqsec_pki.errors import UnknownAlgorithmError, UsageError
+from pqsec_pki.handshake import StockPeers
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import ParticipantSpec, issue
 from pqsec_pki.problems import Code
@@ -34,7 +35,9 @@ YEAR = timedelta(days=365)
 HOUR = timedelta(hours=1)
 DOMAIN = DomainSet.of(0)
 GATE = {"classical", "transition", "pq"}
-NAMES = [profile.name for profile in PROFILES if LONG or profile.name in GATE]
+SETS = "classical,hybrid"
+"""Two sets of credentials, and a policy that names nobody."""
+NAMES = [*(each.name for each in PROFILES if LONG or each.name in GATE), SETS]
 ALL = [row.name for row in ATTACKS]
 FOR_TWO_KEYS = {
     "plain-signature",
@@ -43,12 +46,15 @@ FOR_TWO_KEYS = {
     "broken-ca",
     "stripped-permissions",
 }
+OF_SETS = {"weaker-set", "forged-weaker-set", "other-name", "mixed-sets", "replay-weaker-set"}
 OF_VERSIONS = {"convert-version", "strip-version", "spoil-credentials"}
 each_profile = pytest.mark.parametrize("profile", NAMES)
 
 BAD_SIGNATURE = "^bad .* signature$"
 OTHER_KEYS = "different keys"
 INTRODUCED = "introduction: |was issued by|not signed by this CA"
+NOT_NAMED = "^the peer's certificate is of the set classical, and stock does not name it$"
+OTHER_SET = "was issued by CN=Lab Identity CA, not by CN=Lab hybrid Identity CA"
 UNSIZED = "^not a .* (public key|ciphertext): [0-9]+ bytes$"
 MISLABELLED = "(?i)(expected a 'dds.*', got a '.*'|a message for another participant)$"
 
@@ -246,8 +252,16 @@ EXPECTED = {
         ("as replier$", "final", "^the alternative signature of .*: bad ml-dsa-65 signature$"),
     ],
     "participant-as-ca": [
-        ("as initiator$", "reply", "CN=/[a-z]+ was issued by CN=/[a-z]+, not by CN=Lab Identity"),
-        ("as replier$", "final", "CN=/[a-z]+ was issued by CN=/[a-z]+, not by CN=Lab Identity"),
+        (
+            "as initiator$",
+            "reply",
+            "CN=/[a-z]+ was issued by CN=/[a-z]+, not by CN=Lab (hybrid )?Identity",
+        ),
+        (
+            "as replier$",
+            "final",
+            "CN=/[a-z]+ was issued by CN=/[a-z]+, not by CN=Lab (hybrid )?Identity",
+        ),
     ],
     "claimed-guid": [
         ("as initiator$", "reply", "^the GUID in c.pdata does not belong to the certificate's"),
@@ -255,7 +269,11 @@ EXPECTED = {
     ],
     "borrowed-permissions": [("", "admits", "may not join domain 0: no grant is for CN=/")],
     "forged-permissions": [
-        ("^by ", "admits", "not signed by CN=Lab Permissions CA but by another certificate"),
+        (
+            "^by ",
+            "admits",
+            "not signed by CN=Lab (hybrid )?Permissions CA but by another certificate",
+        ),
         ("with its own name", "admits", "the content was changed after signing"),
         ("^not signed", "admits", "not an S/MIME signed document"),
         ("^none", "admits", "the file is empty"),
@@ -293,12 +311,30 @@ EXPECTED = {
         # Which structure breaks depends on the signature's bytes; that C27 refuses is checked.
         ("^a certificate cut short", "reply", ""),
     ],
+    "weaker-set": [
+        ("as initiator$", "reply", NOT_NAMED),
+        ("as replier$", "final", OTHER_SET),
+    ],
+    "forged-weaker-set": [
+        ("as initiator$", "reply", NOT_NAMED),
+        ("as replier$", "final", OTHER_SET),
+    ],
+    "other-name": [
+        ("as initiator$", "reply", "^the certificate's subject is not the one that was announced$"),
+        ("as replier$", "final", "the certificate's subject is not the one that was announced"),
+    ],
+    "mixed-sets": [("", "admits", "not signed by CN=Lab hybrid Permissions CA but by another")],
+    "replay-weaker-set": [
+        ("^the request", "reply", NOT_NAMED),
+        ("^the reply", "final", OTHER_SET),
+        ("^the final", "authenticated", "^hash_c1 is not as expected"),
+    ],
 }
 
 
 def made(root, profile):
     options = {"name": "Lab", "domains": DOMAIN, "validity": 10 * YEAR, "passphrase": None}
-    keystore = Keystore.create(root, profile_named(profile), now=NOW, **options)
+    keystore = Keystore.create(root, *map(profile_named, profile.split(",")), now=NOW, **options)
     unlocked = keystore.unlock(None)
     # The listener's certificate begins later and ends earlier.
     for name, now, validity in (("/talker", NOW, YEAR), ("/listener", NOW + HOUR, YEAR / 2)):
@@ -320,8 +356,10 @@ def setup(tmp_path_factory):
     @cache
     def make(profile):
         keystore = made(tmp_path_factory.mktemp(profile) / "k", profile)
-        shutil.rmtree(keystore.root / "private")
-        return HandshakeSetup(keystore=keystore, domain=0, now=NOW)
+        for each in keystore.sets:
+            shutil.rmtree(each.folder / "private")
+        stock = StockPeers() if len(keystore.profiles) > 1 else None
+        return HandshakeSetup(keystore=keystore, domain=0, now=NOW, stock=stock)
 
     return make
 
@@ -380,7 +418,10 @@ def test_an_attack_is_refused_where_the_table_says(attack_report, profile, name)
     [outcome] = [each for each in attack_report.outcomes if each.attack.name == name]
     assert outcome.ok
     if name in FOR_TWO_KEYS and profile != "transition":
-        assert outcome.skipped == f"participants of profile {profile} have one key"
+        assert outcome.skipped == f"participants of profile {profile.split(',')[-1]} have one key"
+        return
+    if name in OF_SETS and profile != SETS:
+        assert re.fullmatch("/[a-z]+ has one set of credentials here", outcome.skipped)
         return
     if name in OF_VERSIONS and profile == "classical":
         assert outcome.skipped == "messages with ECDH+prime256v1-CEUM have one version"

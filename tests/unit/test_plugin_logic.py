@@ -18,9 +18,8 @@ from pqsec_pki.plugin.authentication import (
     NO_TOKEN,
     ValidationResult,
 )
-from pqsec_pki.plugin.credentials import Source
 from pqsec_pki.plugin.handles import Handles
-from pqsec_pki.plugin.settings import AgentSettings
+from pqsec_pki.plugin.settings import AgentSettings, SettingsFile
 from tests.unit.keystores import DAY, NOW, TWO, made
 from tests.unit.plugin_wire import (
     IDENTITY,
@@ -85,11 +84,10 @@ def test_a_setting_that_is_not_understood_is_refused(folders, tmp_path, text, wo
 
 
 def test_an_identity_with_keys_that_no_profile_has_asks_for_the_hybrid_key_agreement():
-    beside_nothing = Source("dds.sec.auth.identity_certificate", None)
     for kinds in (("ml-dsa-87", "ml-dsa-65"), ("ecdsa-p256", "ml-dsa-87"), ("ml-dsa-44", None)):
         key, second = (each and SIGNATURES.named(each) for each in kinds)
         ca = Authority.create("CA", key, alternative=second, now=NOW, validity=DAY)
-        found = AgentSettings.of(ca.certificate, beside_nothing).agreements
+        found = AgentSettings.of(ca.certificate, SettingsFile()).agreements
         assert [each.name for each in found] == ["x25519mlkem768"]
 
 

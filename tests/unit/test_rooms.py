@@ -38,6 +38,7 @@ GROUND = {
     "_lazy",
     "_libraries",
     "_locks",
+    "_name_patterns",
     "_owners",
     "_packages",
     "_places",
