@@ -14,6 +14,7 @@ Its content:
     patterns      participants given as patterns and groups
     groups        the groups that `apply` stored
     approving     whose approvals are demanded, and who approved: lines of the ledger
+    stock         who may be met with the first set of credentials: a line of the ledger
     registering   what registration authorities may order, and ordered: lines of the ledger
 The ledger:
     _chain        one line, and how it is chained to the line before
@@ -185,6 +186,7 @@ if TYPE_CHECKING:
         signed_grants,
         status,
     )
+    from pqsec_pki.keystore.stock import stock_entry
     from pqsec_pki.keystore.superseded import superseded_certificates, superseded_in
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -308,6 +310,7 @@ __all__ = [
     "stage_cas",
     "stage_governance",
     "status",
+    "stock_entry",
     "superseded_certificates",
     "superseded_in",
     "together",

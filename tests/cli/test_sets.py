@@ -72,7 +72,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
         "report -o x",
         "estimate",
         "migrate plan --to pq",
-        "domain import k",
         "receipt import x",
         "sign-governance k/enclaves/governance.xml -o x.p7s",
     ],
