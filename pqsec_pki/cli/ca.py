@@ -10,6 +10,7 @@ from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
+from pqsec_pki.cli._profile_list import ProfileList
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.add_set import add_set
 from pqsec_pki.cli.passphrase import passphrase
@@ -51,24 +52,6 @@ profile_option = click.option(
 )
 
 
-class _Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
-    """Profiles with commas between them: one for each set of credentials."""
-
-    name = "profiles"
-
-    def __init__(self) -> None:
-        super().__init__([profile.name for profile in PROFILES], case_sensitive=False)
-
-    def convert(
-        self, value: object, param: click.Parameter | None, ctx: click.Context | None
-    ) -> tuple[str, ...]:
-        """The names. Raises click's error for an unknown one."""
-        if isinstance(value, tuple):
-            return value
-        one = super().convert
-        return tuple(one(each, param, ctx) for each in str(value).split(","))
-
-
 @ca.command(
     examples={
         "Create a keystore for ROS 2 nodes on domain 0": (
@@ -92,7 +75,7 @@ class _Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clic
 @click.option(
     "--profile",
     "profile_names",
-    type=_Profiles(),
+    type=ProfileList(),
     default=DEFAULT_PROFILE.name,
     show_default=True,
     help="Choose the algorithms; `pqsec profiles` explains them. Profiles with commas between"

@@ -142,7 +142,7 @@ def _domain(item: Item) -> dict[str, Any]:
     settings = fields(item, readers)
     before = settings.get("migrate_from")
     if before and (len(settings.get("profile", ())) != 1 or before in settings["profile"]):
-        raise refused(item, "`migrate_from` needs one `profile` to change to, which is another one")
+        raise refused(item, "`migrate_from` needs a `profile` to change to, which is another one")
     settings.setdefault("governance", PRESETS[0].governance(default_domains))
     return {**_DEFAULTS, "domains": default_domains, **settings}
 

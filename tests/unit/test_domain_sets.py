@@ -79,8 +79,8 @@ def names(keystore):
         ("[transition, hybrid]", "transition is not one of several: write it alone"),
         ("[classical, transition]", "transition is not one of several: write it alone"),
         ("[transition]", "transition is not one of several: write it alone"),
-        ("[classical, hybrid]\nmigrate_from: pq", "`migrate_from` needs one `profile`"),
-        ("[classical, hybrid]\nmigrate_from: classical", "`migrate_from` needs one `profile`"),
+        ("[classical, hybrid]\nmigrate_from: pq", "`migrate_from` needs a `profile`"),
+        ("[classical, hybrid]\nmigrate_from: classical", "`migrate_from` needs a `profile`"),
     ],
 )
 def test_a_list_of_profiles_that_no_keystore_can_have_is_refused(tmp_path, written, told):
