@@ -59,7 +59,7 @@ def addition_steps(
         return
     for name, error in found.refused.items():
         why = f"is in the way of further sets: {error}"
-        yield Blocked(name or "the governance", why, error.hint or "restore that file")
+        yield Blocked(name or "the keystore", why, error.hint or "restore that file")
     if found.refused:
         return
     before = [each.name for each in keystore.profiles]

@@ -3,7 +3,7 @@
 import shlex
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -179,10 +179,14 @@ class Reconciler:
 
     def _order(self, path: Path, keystore: Keystore) -> Mapping[str, Step] | str:
         try:
-            found = order_at(path, self.members, keystore, now=self.now)
+            found = order_at(path, self.members, self._with_all(keystore), now=self.now)
         except PqsecError as error:
             return str(error)
         return {each.name: each for each in steps_of(found)}
+
+    def _with_all(self, keystore: Keystore) -> Keystore:
+        """The keystore as it is after the plan's sets are added: before them nobody is enrolled."""
+        return replace(keystore, profiles=tuple(self.profiles))
 
     def _key_is_elsewhere(self, name: str, held: ParticipantState) -> bool:
         """Whether it sent a request, and the keystore has no key for it; or a token has it."""

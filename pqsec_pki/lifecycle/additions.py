@@ -15,7 +15,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.credentials import TrustAnchors
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import KeystoreError, PqsecError
-from pqsec_pki.keystore import CurrentFiles, Keystore, layout
+from pqsec_pki.keystore import WAIT, CurrentFiles, Keystore, layout, refuse_overlap
 from pqsec_pki.lifecycle._inspector import Inspector
 
 NEEDS_REQUEST = "its key is not here: it needs a request with a key of each set"
@@ -31,7 +31,7 @@ class Addable:
     left: Mapping[str, str]
     """Why each other participant does not, by name; nobody who was revoked."""
     refused: Mapping[str, PqsecError]
-    """What `add_set` refuses all of it for: by participant, and of the governance under ""."""
+    """What `add_set` refuses all of it for: by participant, and of the keystore under ""."""
 
     @property
     def waiting(self) -> tuple[str, ...]:
@@ -67,6 +67,7 @@ def _why_left(inspector: Inspector, name: str, now: datetime) -> str:
 
 def _refused(inspector: Inspector, names: tuple[str, ...]) -> Iterator[tuple[str, PqsecError]]:
     try:
+        refuse_overlap(inspector.keystore, WAIT)
         governance_to_copy(inspector.keystore)
     except PqsecError as error:
         yield "", error

@@ -136,7 +136,7 @@ class _Finder:
         new, sets = profile.name, _said(there)
         words = f"certificates of set {new} for {_some(self.found.issued)}"
         refused = {
-            name or "the governance": f"{error}; {error.hint or 'restore that file'}"
+            name or "the keystore": f"{error}; {error.hint or 'restore that file'}"
             for name, error in self.found.refused.items()
         }
         failed = self._fails(self.before, self.after, PQSEC)

@@ -94,7 +94,7 @@ def test_a_profile_is_added_once(keystore):
 def test_what_is_in_the_way_is_told(keystore):
     other_form(keystore)
     plan = plan_addition(keystore, (CLASSICAL, HYBRID), (CYCLONE,), now=NOW)
-    assert "sign-governance" in plan.steps[0].left_out["the governance"]
+    assert "sign-governance" in plan.steps[0].left_out["the keystore"]
 
 
 def test_the_files_of_the_steps_add_the_set_and_change_no_octet_of_the_first(tmp_path):
