@@ -98,9 +98,26 @@ class PlanReview:
         for name in self._named(StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW):
             words = f"{of_sets} valid for {days(self.desired.members[name].validity)}"
             alike.setdefault((words,), []).append(name)
+        for name, words in (*self._in_added_sets(), *self._stock()):
+            alike.setdefault((words,), []).append(name)
         return tuple(
             ChangedRights(tuple(filter(None, names)), changes) for changes, names in alike.items()
         )
+
+    def _in_added_sets(self) -> Iterator[tuple[str, str]]:
+        """Who gets a certificate of each set that is added."""
+        for profile in self._named(StepAction.ADD_SET):
+            for name in self._addable.issued:
+                yield name, f"a certificate of set {profile}, as long as that of the first"
+
+    def _stock(self) -> Iterator[tuple[str, str]]:
+        """The names and patterns that are added and removed."""
+        if any(each.action is StepAction.STORE_STOCK for each in self.plan.steps):
+            before, after = {*self.keystore.stock}, {*self.desired.stock}
+            for name in sorted(after - before):
+                yield name, "may be met with the first set of credentials"
+            for name in sorted(before - after):
+                yield name, "may no longer be met with the first set of credentials"
 
     def _of_sets(self) -> str:
         """The beginning of words about certificates: they name all sets, if there are several."""

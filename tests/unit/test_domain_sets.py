@@ -283,7 +283,6 @@ def test_a_set_that_another_command_added_is_not_added_again(scene):
 # What one set lacks
 
 
-@pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize(
     ("file", "steps"),
     [
@@ -293,9 +292,9 @@ def test_a_set_that_another_command_added_is_not_added_again(scene):
         ("public/identity_ca.crl.pem", [("renew-crl", "")]),
     ],
 )
-def test_a_file_that_one_set_lacks_is_made_again(both, number, file, steps):
+def test_a_file_that_a_further_set_lacks_is_made_again(both, file, steps):
     renew_list(both.keystore, both.keystore.unlock(None), now=NOW)
-    (both.keystore.sets[number].folder / file).unlink()
+    (both.keystore.sets[1].folder / file).unlink()
     assert both.steps() == steps
     both.apply()
     assert both.plan().in_order
@@ -494,7 +493,15 @@ def test_one_approval_is_of_the_set_and_all_other_steps(council):
     assert {Covered.ROTATE, Covered.REVOKE, Covered.GROW} <= {*proposal.needs}
     assert [each.name for each in proposal.steps if each.action == "add-set"] == ["hybrid"]
     words = "certificates of all sets (classical, hybrid) that are valid for 90 days"
-    assert words in [change for each in proposal.rights for change in each.changes]
+    told = {change: each.names for each in proposal.rights for change in each.changes}
+    assert words in told
+    assert told["a certificate of set hybrid, as long as that of the first"] == (
+        "/r1",
+        "/r2",
+        "/r3",
+    )
+    assert told["may be met with the first set of credentials"] == ("/r2",)
+    assert told["may no longer be met with the first set of credentials"] == ("/r1",)
     refused(council, proposal, first, words="needs 2 approvals|1 of 2|approv")
     council.decide(proposal, first, council.approval(proposal, "bob"))
     assert council.plan().in_order
