@@ -67,7 +67,8 @@ def _why_left(inspector: Inspector, name: str, now: datetime) -> str:
 
 def _refused(inspector: Inspector, names: tuple[str, ...]) -> Iterator[tuple[str, PqsecError]]:
     try:
-        refuse_overlap(inspector.keystore, WAIT)
+        for each in inspector.keystore.sets:
+            refuse_overlap(each, WAIT)
         governance_to_copy(inspector.keystore)
     except PqsecError as error:
         yield "", error
