@@ -112,11 +112,11 @@ def _specs(
         raise VerificationError(
             "the requests are not those that were ordered", code=Code.CONTENT_CHANGED
         )
-    keys = validate_csrs(asked.requests, keystore.profile, names=names)
+    keys = validate_csrs(asked.requests, keystore.profiles, names=names)
     if problems := [*_role_problems(order, grant)]:
         raise VerificationError(*problems)
     return tuple(
-        replace(_member(each, grant).spec(), keys=keys[each.name]._replace(request=order.digest))
+        replace(_member(each, grant).spec(), keys=keys[each.name].answering(order.digest))
         for each in order.items
     )
 

@@ -42,7 +42,7 @@ def admitted(member: Member, profile: Profile) -> PublicKeys | None:
         found = _requests(member)
         if member.name not in found:
             raise VerificationError(f"no request in it is for {member.name}: {_said(found)}")
-        return validate_csrs(found[member.name], profile, names=[member.name])[member.name]
+        return validate_csrs(found[member.name], [profile], names=[member.name])[member.name]
 
 
 def asks_for_other_keys(member: Member, certified: str) -> bool:
@@ -99,7 +99,8 @@ def order_in(path: Path) -> SignRequest:
 
 def hashes_in(keys: PublicKeys | None) -> str:
     """The keys' hashes as in the ledger; empty for None."""
-    return key_hashes(keys.key, keys.alternative) if keys else ""
+    sets = keys.sets if keys else ()
+    return " ".join(key_hashes(each.key, each.alternative) for each in sets)
 
 
 def _requests(member: Member) -> dict[str, list[CertificateRequest]]:

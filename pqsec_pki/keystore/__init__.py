@@ -111,7 +111,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.authorities import Authorities, check_pair
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
-    from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.compromised import all_hashes, compromised_keys_in, key_hashes
     from pqsec_pki.keystore.current_files import CurrentFiles
     from pqsec_pki.keystore.delivery import (
         ADMISSION,
@@ -176,6 +176,8 @@ if TYPE_CHECKING:
         ParticipantState,
         State,
         current_certificate,
+        in_all_sets,
+        is_revoked,
         participant_states,
     )
     from pqsec_pki.keystore.status_report import (
@@ -242,6 +244,7 @@ __all__ = [
     "Status",
     "Transaction",
     "Way",
+    "all_hashes",
     "anchored_head",
     "approval_entries",
     "audit",
@@ -265,6 +268,8 @@ __all__ = [
     "grant_end_entry",
     "grant_entry",
     "groups_file",
+    "in_all_sets",
+    "is_revoked",
     "is_several",
     "key_algorithms",
     "key_hashes",
