@@ -20,8 +20,8 @@ fingerprints_option = click.option(
     "fingerprints",
     multiple=True,
     metavar="ROLE:SHA256",
-    help="Trust this CA as identity, permissions or countersigner; one option for each CA."
-    " [default: the CAs that are trusted here]",
+    help="Trust this CA as identity, permissions or countersigner; one option for each CA, of a"
+    " further set as hybrid/identity. [default: the CAs that are trusted here]",
 )
 
 

@@ -248,11 +248,12 @@ def _requested_rights(asked: SignRequest, now: datetime) -> Iterator[ChangedRigh
 
 def _certified(requests: Iterable[CertificateRequest]) -> Iterator[ChangedRights]:
     for each in requests:
-        hashes = key_hashes(each.public_key, each.alternative_key)
-        yield _change(
-            name_asked_for(each) or shown(each.subject_name),
-            f"a certificate for the key with SHA-256 {hashes}",
-        )
+        for one in each.sets:
+            hashes = key_hashes(one.public_key, one.alternative_key)
+            yield _change(
+                name_asked_for(each) or shown(each.subject_name),
+                f"a certificate for the key with SHA-256 {hashes}",
+            )
 
 
 def _change(name: str, words: str) -> ChangedRights:

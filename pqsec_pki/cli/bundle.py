@@ -14,6 +14,7 @@ from pqsec_pki.enrolment import Bundle, BundleFile, bundle_path, write_bundles
 from pqsec_pki.errors import FileError, UsageError, located
 from pqsec_pki.keystore import (
     BundleNumbers,
+    InstallState,
     Keystore,
     State,
     is_several,
@@ -85,10 +86,10 @@ def bundle(  # noqa: PLR0913 -- one for each option, by name
 
     NAME may be a pattern, '/robot1/*' is all nodes of a robot, or a group: @hall1.
     The bundle has each NAME's certificate, permissions, governance, CA certificates and
-    revocation list, and its private keys if they were generated here; never a CA key. A
-    bundle that `pqsec install` would refuse is not written. A bundle with private keys must
-    be encrypted with --seal-for, unless you use --plain-key. It also proves that the ledger has
-    the certificate and the documents, if the CAs have signed a head of the ledger since.
+    revocation list, and its private keys if they were generated here, in each set of credentials;
+    never a CA key. A bundle that `pqsec install` would refuse is not written. A bundle with private
+    keys must be encrypted with --seal-for, unless you use --plain-key. It also proves that the
+    ledger has the certificate and the documents, if the CAs have signed a head of the ledger since.
 
     With --outdated, robots lack something if the receipt that `pqsec receipt import` recorded
     names other files than the keystore has, or if there is no receipt. Participants that a
@@ -164,7 +165,12 @@ def _outdated(keystore: Keystore, names: Sequence[str]) -> list[str]:
     standing = status(keystore, named(keystore, names) if names else None, now=_settings.now())
     participants = sorted(standing.participants, key=lambda each: each.name)
     robots = robot_states(keystore, participants)
-    valid = {each.name for each in participants if each.state in {State.VALID, State.DUE}}
+    usable = {State.VALID, State.DUE, State.INCOMPLETE}
+    valid = {
+        each.name
+        for each in participants
+        if each.state in usable and robots[each.name].state is not InstallState.NONE
+    }
     left_out = [f"{each.name} ({each.state})" for each in participants if each.name not in valid]
     if left_out:
         _printing.note(f"left out: {_printing.few(left_out)}")

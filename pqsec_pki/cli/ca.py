@@ -1,6 +1,6 @@
 """pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
 
@@ -10,7 +10,6 @@ from pqsec_pki._files import refuse_existing, write
 from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
-from pqsec_pki.cli._profile_list import ProfileList
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.add_set import add_set
 from pqsec_pki.cli.passphrase import passphrase
@@ -52,6 +51,24 @@ profile_option = click.option(
 )
 
 
+class Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
+    """Profiles with commas between them: one for each set of credentials."""
+
+    name = "profiles"
+
+    def __init__(self) -> None:
+        super().__init__([profile.name for profile in PROFILES], case_sensitive=False)
+
+    def convert(
+        self, value: object, param: click.Parameter | None, ctx: click.Context | None
+    ) -> tuple[str, ...]:
+        """The names. Raises click's error for an unknown one."""
+        if isinstance(value, tuple):
+            return value
+        one = super().convert
+        return tuple(one(each, param, ctx) for each in str(value).split(","))
+
+
 @ca.command(
     examples={
         "Create a keystore for ROS 2 nodes on domain 0": (
@@ -75,7 +92,7 @@ profile_option = click.option(
 @click.option(
     "--profile",
     "profile_names",
-    type=ProfileList(),
+    type=Profiles(),
     default=DEFAULT_PROFILE.name,
     show_default=True,
     help="Choose the algorithms; `pqsec profiles` explains them. Profiles with commas between"
@@ -163,7 +180,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         "alternative_key": alt_key,
         "key_agreement": kem,
     }
-    profiles = _profiles(profile_names, choices)
+    profiles = profiles_of(profile_names, choices)
     domain_set = DomainSet.parse(domains)
     path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
@@ -187,11 +204,11 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     _show(keystore)
 
 
-def _profiles(names: Sequence[str], choices: dict[str, str | None]) -> list[Profile]:
+def profiles_of(names: Sequence[str], choices: Mapping[str, str | None]) -> list[Profile]:
     """The profile of each set; UsageError for other algorithms that could be for several sets."""
     if len(names) > 1 and any(choices.values()):
         raise UsageError("options for single algorithms are for a keystore with one profile")
-    return [profile_named(each).changed(choices) for each in names]
+    return [profile_named(each).changed({**choices}) for each in names]
 
 
 @ca.command(
@@ -307,7 +324,6 @@ def _show_pins(keystore: Keystore) -> None:
     """Print the trusted CAs as options of `pqsec install`."""
     from pqsec_pki.enrolment import pin_texts, pins_in_use  # noqa: PLC0415 -- for --pins alone
 
-    refuse_further_sets(keystore, "--pins prints")
     pins = pin_texts(pins_in_use(keystore))
     _printing.emit({"pins": pins}, [f"--ca-fingerprint {each}" for each in pins])
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from pqsec_pki.cli import _completion, _formats, _help, _pager, _printing, _settings, _targets
-from pqsec_pki.enrolment import head_problems
+from pqsec_pki.enrolment import problems_where_installed
 from pqsec_pki.errors import UsageError
 from pqsec_pki.lint import (
     RULES,
@@ -115,7 +115,7 @@ def check(  # noqa: PLR0913 -- one for each option
         targets=targets,
         ignore=map(_suppression, ignored),
         proofs=proofs,
-        compare_head=head_problems,
+        compare=problems_where_installed,
     )
     if known:
         report = _without_known(report, known)

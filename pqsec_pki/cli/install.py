@@ -73,6 +73,9 @@ def install(  # noqa: PLR0913 -- one for each option, by name
     A bundle can prove that its certificates and documents are in the ledger of which the CAs
     signed a head. A wrong proof is refused; a missing one only after --proofs was given here once.
 
+    All sets of credentials are installed together. A set that the keystore added is accepted if
+    such a proof has its CAs, and is then needed: a bundle without it is refused, also with --older.
+
     DIR/installed.receipt then says what is installed, signed with the keys of this robot: copy
     it to the machine with the CAs, for `pqsec receipt import`. To make it again, install the
     same bundle again.
@@ -111,7 +114,9 @@ def _ask(removed: Sequence[str]) -> None:
 
 @_help.command(
     examples={
-        "Return to the set before the last bundle, which is older": "pqsec rollback --older",
+        "Return to what was installed before the last bundle, which is older": (
+            "pqsec rollback --older"
+        ),
     },
     exit_codes={
         0: "restored",
@@ -128,8 +133,8 @@ def rollback(folder: Path, *, older: bool) -> None:
     It works once, and destroys nothing: install the bundle again to undo it. Something older
     than the newest installed bundle is refused, unless you use --older: it may grant rights
     that were withdrawn, and accept peers that were revoked. The expiry of its certificates is
-    not checked.
+    not checked. What lacks a set of credentials that was installed since is always refused.
     """
     earlier = roll_back(folder, now=_settings.now(), older=older, pin=_passphrases.pin)
     value = {"current": earlier.path, "installed_at": earlier.at}
-    _printing.emit(value, [f"restored the set that was installed {said(earlier.at)}  {folder}"])
+    _printing.emit(value, [f"restored what was installed {said(earlier.at)}  {folder}"])

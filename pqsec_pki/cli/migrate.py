@@ -9,7 +9,7 @@ import click
 from pqsec_pki import _files
 from pqsec_pki.algorithms import Profile, profile_named
 from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
-from pqsec_pki.cli._profile_list import ProfileList
+from pqsec_pki.cli.ca import Profiles
 from pqsec_pki.keystore import Keystore
 from pqsec_pki.migration import (
     MigrationPlan,
@@ -52,7 +52,7 @@ def migrate() -> None:
 @click.option(
     "--to",
     "target",
-    type=ProfileList(),
+    type=Profiles(),
     default="pq",
     show_default=True,
     metavar="PROFILE[,PROFILE]...",

@@ -156,13 +156,21 @@ class Reconciler:
             keys = hashes_in(admitted(member, self.profiles))
         except PqsecError as error:
             return Blocked(name, f"its request is refused: {error}", _ASK_AGAIN)
-        same = held is None or keys == " ".join(each.keys for each in _sets(held))
+        same = held is None or self._has_its_key(keys, held)
         if held and same and any(each.compromised for each in _sets(held)):
             return Blocked(name, f"{_ELSEWHERE}, and {why}", _ASK_AGAIN)
         if not (same or self.new_keys):
             why = _OTHER_KEY if why == _OTHER_KEY else f"{_OTHER_KEY}, and {why}"
             return Blocked(name, f"is not changed: {why}", _IF_MEANT)
         return Step(action, name, why, keys)
+
+    def _has_its_key(self, keys: str, held: ParticipantState) -> bool:
+        """Whether a request is for the keys that it has and, for sets that it lacks, for others.
+
+        A request for several sets proves possession of the first set's key too.
+        """
+        certified = " ".join(each.keys for each in _sets(held))
+        return keys == certified or (bool(self._lacking(held)) and keys.startswith(f"{certified} "))
 
     def _enrol_step(self, member: Member) -> Step | Blocked:
         """The step by the participant's order, which is read once for all in it."""

@@ -42,10 +42,7 @@ def admitted(member: Member, profiles: Sequence[Profile]) -> PublicKeys | None:
         found = _requests(member)
         if member.name not in found:
             raise VerificationError(f"no request in it is for {member.name}: {_said(found)}")
-        if len(profiles) > 1:
-            raise KeystoreError("a request is for a keystore with one set of credentials")
-        [profile] = profiles
-        return validate_csrs(found[member.name], profile, names=[member.name])[member.name]
+        return validate_csrs(found[member.name], profiles, names=[member.name])[member.name]
 
 
 def asks_for_other_keys(member: Member, certified: Collection[str]) -> bool:
@@ -57,7 +54,7 @@ def asks_for_other_keys(member: Member, certified: Collection[str]) -> bool:
         return False
     with suppress(PqsecError):
         own = _requests(member).get(member.name, ())
-        asked = (key_hashes(each.public_key, each.alternative_key) for each in own)
+        asked = [key_hashes(a.public_key, a.alternative_key) for each in own for a in each.sets]
         return any(each not in certified for each in asked)
     return True
 
@@ -103,7 +100,8 @@ def order_in(path: Path) -> SignRequest:
 
 def hashes_in(keys: PublicKeys | None) -> str:
     """The keys' hashes as in the ledger; empty for None."""
-    return key_hashes(keys.key, keys.alternative) if keys else ""
+    sets = keys.sets if keys else ()
+    return " ".join(key_hashes(each.key, each.alternative) for each in sets)
 
 
 def _requests(member: Member) -> dict[str, list[CertificateRequest]]:

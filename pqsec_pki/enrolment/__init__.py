@@ -13,12 +13,13 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.bundle_file import BundleFile, write_bundles
     from pqsec_pki.enrolment.credential_store import (
         CredentialStore,
-        InstalledSet,
+        InstalledCredentials,
         changing,
         is_credential_store,
         one_command,
     )
     from pqsec_pki.enrolment.csr_validation import NAMELESS, name_asked_for, validate_csrs
+    from pqsec_pki.enrolment.installed_enclaves import problems_where_installed
     from pqsec_pki.enrolment.installing import Installed, install, removed_alone, require_trust
     from pqsec_pki.enrolment.issuing import IssuedBundle, bundle_paths, issue_with_bundles
     from pqsec_pki.enrolment.offline import (
@@ -32,6 +33,7 @@ if TYPE_CHECKING:
         sign,
     )
     from pqsec_pki.enrolment.outbox import refresh
+    from pqsec_pki.enrolment.pins import Pins, pin_texts, pins_in_use, pins_of
     from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
     from pqsec_pki.enrolment.receipt_import import (
         ImportedReceipt,
@@ -49,9 +51,7 @@ if TYPE_CHECKING:
     from pqsec_pki.enrolment.robot_clock import begin_problems
     from pqsec_pki.enrolment.rolling_back import rollback
     from pqsec_pki.enrolment.sealed import fingerprint, is_sealed, open_sealed, seal
-    from pqsec_pki.enrolment.seen_heads import head_problems
     from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
-    from pqsec_pki.enrolment.trust import Pins, pin_texts, pins_in_use, pins_of
     from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -66,7 +66,7 @@ __all__ = [
     "CredentialStore",
     "ImportedReceipt",
     "Installed",
-    "InstalledSet",
+    "InstalledCredentials",
     "IssuedBundle",
     "Pins",
     "Requested",
@@ -81,7 +81,6 @@ __all__ = [
     "changing",
     "fingerprint",
     "flat_name",
-    "head_problems",
     "import_receipts",
     "install",
     "is_credential_store",
@@ -96,6 +95,7 @@ __all__ = [
     "pin_texts",
     "pins_in_use",
     "pins_of",
+    "problems_where_installed",
     "read_receipts",
     "record_receipts",
     "refresh",

@@ -1,19 +1,21 @@
 """Bundles: all files of a keystore that one robot needs, in one file, never a CA's key.
 
 A bundle contains one or several whole enclaves, under the paths of ROS 2, such as
-enclaves/fleet/robot1/cert.pem. It has no private key if the robot generated the keys. The proof
-that the ledger has the documents is in the manifest: an earlier pqsec refuses unknown files.
+enclaves/fleet/robot1/cert.pem, and those of further sets of credentials under paths such as
+sets/hybrid/enclaves/fleet/robot1/cert.pem. It has no private key if the robot generated the keys.
+The proof that the ledger has the documents is in the manifest: an earlier pqsec refuses unknown
+files.
 """
 
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import nullcontext
-from dataclasses import field
+from dataclasses import field, replace
 from datetime import datetime
 from functools import cached_property
 from pathlib import Path
-from typing import Self
+from typing import Self, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import disk_errors, write
@@ -21,20 +23,32 @@ from pqsec_pki.credentials import (
     CA_FILES,
     ENCLAVES,
     FILES,
+    IDENTITY_CA,
     KEYS,
     NEEDED,
     Credentials,
+    VerifiedCredentials,
     certificates_in,
     verify_credentials,
 )
 from pqsec_pki.enrolment.archive import Archive
+from pqsec_pki.enrolment.one_meaning import differences
+from pqsec_pki.enrolment.pins import Pins, of_sets, set_named
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE, MAX_MEMBERS
-from pqsec_pki.errors import MalformedError, PassphraseError, PqsecError, UsageError, shown
+from pqsec_pki.errors import (
+    MalformedError,
+    PassphraseError,
+    PqsecError,
+    UsageError,
+    VerificationError,
+    shown,
+)
 from pqsec_pki.keystore import (
     BundleNumbers,
     Keystore,
+    SetLine,
     bundle_number,
-    refuse_further_sets,
+    layout,
     regular_name,
 )
 from pqsec_pki.problems import Code
@@ -42,6 +56,8 @@ from pqsec_pki.tokens import is_reference
 from pqsec_pki.transparency import LedgerProof
 
 KIND = "bundle"
+Enclaves: TypeAlias = Mapping[str, Mapping[str, bytes]]
+"""Files by name, for each participant's name."""
 
 
 @dataclass(frozen=True)  # no slots, for cached properties
@@ -49,12 +65,20 @@ class Bundle:
     """Enclaves by name, each with its files by name. None of them is verified here."""
 
     created: datetime
-    enclaves: Mapping[str, Mapping[str, bytes]] = field(repr=False)
+    enclaves: Enclaves = field(repr=False)
+    """Those of the first set of credentials."""
     number: int | None = None
     """The number of the newest ledger line among its files (`BundleNumbers`). Only a label: the
     manifest is not signed. None in bundles of earlier versions."""
     proof: LedgerProof | None = field(default=None, repr=False)
-    """The proof that the ledger has the certificates and documents of all enclaves."""
+    """The proof that the ledger has the certificates and documents of all enclaves, and the CAs of
+    further sets."""
+    profile: str = ""
+    """That of the first set."""
+    further: Mapping[str, Enclaves] = field(default_factory=dict, repr=False)
+    """The same participants in each further set, by the names of their profiles."""
+    set_lines: tuple[SetLine, ...] = field(default=(), repr=False)
+    """The ledger's lines about the CAs of further sets."""
 
     @classmethod
     def of(
@@ -66,45 +90,82 @@ class Bundle:
         keys: bool = True,
         numbers: BundleNumbers | None = None,
     ) -> Self:
-        """The bundle of these participants; with `keys`, including their private keys.
+        """The bundle of these participants in all sets; with `keys`, with their private keys.
 
         To make many bundles, open the ledger once, and give its `numbers`.
         The files are verified at `now`, as the robot will do, and written again from the
         verified values. VerificationError lists everything that is wrong. KeystoreError if a
         participant does not exist or lacks a file, or a file is not the newest by the ledger
-        (`CurrentFiles`); UsageError without names.
+        (`CurrentFiles`), or only some have a certificate in a set; UsageError without names.
         """
-        refuse_further_sets(keystore, "a bundle has")
         regular = list(dict.fromkeys(map(regular_name, names)))
         if not regular:
             raise UsageError("a bundle needs at least one participant")
         with nullcontext(numbers) if numbers else BundleNumbers.of(keystore) as those:
-            found = {name: those.files(name) for name in regular}
-            enclaves = {name: _verified(name, found[name], now, keys=keys) for name in regular}
-            known = [number for files in found.values() if (number := those.number(files))]
-            proof = those.proofs.proof(enclaves.values()) if those.proofs else None
-        return cls(now.replace(microsecond=0), enclaves, max(known, default=None), proof)
+            sets = those.sets_of(regular)
+            read = [{name: those.files(name, each.set_name) for name in regular} for each in sets]
+            number = those.number_of(files for each in read for files in each.values())
+            found = dict(zip((each.set_name for each in sets), read, strict=True))
+            written = _verified(found, now, keys=keys)
+            made = cls(
+                now.replace(microsecond=0),
+                number=number,
+                profile=keystore.profiles[0].name,
+                enclaves=written.pop(layout.FIRST),
+                further=written,
+            )
+            return made.proven(those)
+
+    def proven(self, numbers: BundleNumbers) -> Self:
+        """This bundle with the proof for its files, if there is one."""
+        if not numbers.proofs:
+            return self
+        lines = (SetLine.of(numbers.proofs.ledger, *each) for each in self._further_cas)
+        set_lines = tuple(filter(None, lines))
+        files = [files for each in self.sets.values() for files in each.values()]
+        proof = numbers.proofs.proof(files, (each.about for each in set_lines))
+        return replace(self, proof=proof, set_lines=set_lines if proof else ())
+
+    @property
+    def _further_cas(self) -> list[tuple[str, str]]:
+        """The kind and SHA-256 of the ledger's line about each CA of a further set."""
+        return sorted(
+            (ca_kind(file), each)
+            for file, found in of_sets(self.roles, self.further).items()
+            for each in found
+        )
 
     @classmethod
     def from_bytes(cls, data: bytes) -> Self:
         """The bundle in `data`; MalformedError or VerificationError as Archive.unpack."""
         archive = Archive.unpack(data, KIND)
-        enclaves: dict[str, dict[str, bytes]] = {name: {} for name in archive.texts("names")}
-        if not enclaves:
+        if not (names := archive.texts("names")):
             raise MalformedError("the bundle has no participants")
+        if not (profiles := archive.texts("profiles")):
+            raise MalformedError("the bundle has no set of credentials")
+        first, *further = map(set_named, profiles)
+        sets = {each: {name: dict[str, bytes]() for name in names} for each in ("", *further)}
+        if len({first, *further}) < len(profiles):
+            raise MalformedError("the manifest names a profile twice")
         for path, content in archive.files.items():
-            folder, _, file = path.rpartition("/")
-            name = folder.removeprefix(ENCLAVES)
-            if not folder.startswith(f"{ENCLAVES}/") or name not in enclaves or file not in FILES:
+            place, name, file = parts_of(path)
+            if name not in sets.get(place, {}) or file not in FILES:
                 raise MalformedError(f"a bundle must not contain {shown(path)}")
             if file in KEYS and is_reference(content):
                 raise MalformedError(f"a bundle must not say where a key is: {shown(path)}")
-            enclaves[name][file] = content
-        for name, files in enclaves.items():
-            _check_complete(name, files)
-        number = bundle_number(archive.about.get("number"))
-        proof = LedgerProof.of(archive.about["proof"]) if "proof" in archive.about else None
-        bundle = cls(archive.time("created"), enclaves, number, proof)
+            sets[place][name][file] = content
+        for place, enclaves in sets.items():
+            for name, files in enclaves.items():
+                _check_complete(place, name, files)
+        bundle = cls(
+            archive.time("created"),
+            sets.pop(layout.FIRST),
+            bundle_number(archive.about.get("number")),
+            LedgerProof.of(archive.about["proof"]) if "proof" in archive.about else None,
+            profile=first,
+            further=sets,
+            set_lines=_set_lines(archive.about.get("set_lines", [])),
+        )
         if sorted(bundle.fingerprints) != sorted(archive.texts("ca_sha256")):
             raise MalformedError("the manifest names other CAs than the bundle contains")
         return bundle
@@ -112,12 +173,14 @@ class Bundle:
     def to_bytes(self) -> bytes:
         """The bundle as a file; TooLargeError if nobody could read it."""
         files = {
-            f"{ENCLAVES}{name}/{file}": data
-            for name, files in self.enclaves.items()
+            layout.in_set(place, f"{ENCLAVES}{name}/{file}"): data
+            for place, enclaves in self.sets.items()
+            for name, files in enclaves.items()
             for file, data in files.items()
         }
         about: dict[str, object] = {
             "names": list(self.enclaves),
+            "profiles": list(self.profiles),
             "created": self.created.isoformat(),
             "ca_sha256": list(self.fingerprints),
         }
@@ -125,11 +188,13 @@ class Bundle:
             about["number"] = self.number
         if self.proof is not None:
             about["proof"] = self.proof.to_json()
+        if self.set_lines:
+            about["set_lines"] = [each.to_json() for each in self.set_lines]
         return Archive(KIND, about, files).pack()
 
     def refuse_large(self) -> None:
         """TooLargeError if nobody could read it. A small one is not packed for that."""
-        files = [data for each in self.enclaves.values() for data in each.values()]
+        files = [data for each in self._all for data in each.values()]
         if sum(map(len, files)) > MAX_ARCHIVE // 2 or len(files) > MAX_MEMBERS // 2:
             self.to_bytes()
 
@@ -137,11 +202,32 @@ class Bundle:
     def sha256(self) -> str:
         """SHA-256 of the names and contents of its files, in hex, whatever its compression."""
         hashes = [
-            (name, file, hashlib.sha256(data).hexdigest())
-            for name, files in sorted(self.enclaves.items())
+            (place, name, file, hashlib.sha256(data).hexdigest())
+            for place, enclaves in sorted(self.sets.items())
+            for name, files in sorted(enclaves.items())
             for file, data in sorted(files.items())
         ]
         return hashlib.sha256(json.dumps(hashes).encode()).hexdigest()
+
+    @property
+    def sets(self) -> dict[str, Enclaves]:
+        """The enclaves of each set, the first one first."""
+        return {layout.FIRST: self.enclaves, **self.further}
+
+    @property
+    def profiles(self) -> tuple[str, ...]:
+        """The profile of each set."""
+        return (self.profile, *self.further)
+
+    @property
+    def _all(self) -> list[Mapping[str, bytes]]:
+        """The files of each enclave in each set."""
+        return [files for enclaves in self.sets.values() for files in enclaves.values()]
+
+    @property
+    def unpacked_size(self) -> int:
+        """The size of all files, in bytes."""
+        return sum(len(data) for files in self._all for data in files.values())
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -151,16 +237,21 @@ class Bundle:
     @property
     def has_keys(self) -> bool:
         """Whether it contains private keys."""
-        return any(key in files for files in self.enclaves.values() for key in KEYS)
+        return any(key in files for files in self._all for key in KEYS)
 
     @property
     def credentials(self) -> tuple[Credentials, ...]:
+        """Those of each enclave in each set, as of `credentials_by_set`."""
+        return tuple(each for found in self.credentials_by_set.values() for each in found)
+
+    @cached_property
+    def credentials_by_set(self) -> Mapping[str, tuple[Credentials, ...]]:
         """Those of each enclave without its private keys, not verified; errors as of
         `Credentials.of`."""
-        return tuple(
-            Credentials.of(name, {file: data for file, data in files.items() if file not in KEYS})
-            for name, files in self.enclaves.items()
-        )
+        return {
+            place: tuple(Credentials.of(name, _public(files)) for name, files in enclaves.items())
+            for place, enclaves in self.sets.items()
+        }
 
     @property
     def fingerprints(self) -> tuple[str, ...]:
@@ -168,20 +259,29 @@ class Bundle:
         return tuple(sorted({each for found in self.roles.values() for each in found}))
 
     @cached_property
-    def roles(self) -> Mapping[str, frozenset[str]]:
+    def roles(self) -> Pins:
         """The fingerprints of the CAs' certificates, by the file that contains them.
 
         Of all certificates in a file: a stack may trust the second one too. MalformedError for
         a file without certificates.
         """
-        found = {file: frozenset(self._authorities(file)) for file in CA_FILES}
+        found = {
+            layout.in_set(place, file): frozenset(self._authorities(place, file))
+            for place in self.sets
+            for file in CA_FILES
+        }
         return {file: pins for file, pins in found.items() if pins}
 
-    def _authorities(self, file: str) -> Iterator[str]:
-        for name, files in self.enclaves.items():
+    def _authorities(self, place: str, file: str) -> Iterator[str]:
+        for name, files in self.sets[place].items():
             if file in files:
                 for each in certificates_in(files[file], f"{name}: {file}"):
                     yield each.fingerprint
+
+
+def ca_kind(file: str) -> str:
+    """The kind of the ledger's line about the CA in that file."""
+    return "identity-ca" if file.endswith(IDENTITY_CA) else "permissions-ca"
 
 
 def flat_name(name: str) -> str:
@@ -192,6 +292,17 @@ def flat_name(name: str) -> str:
 def name_of(flat: str) -> str:
     """The participant's name of which `flat_name` made this."""
     return f"/{flat.replace('+', '/')}"
+
+
+def parts_of(path: str) -> tuple[str, str, str]:
+    """The set, the participant and the name of the file at `path`; empty texts for another path."""
+    place, inside = layout.FIRST, path
+    if path.startswith(f"{layout.SETS}/"):
+        _, place, inside = (*path.split("/", 2), "")[:3]
+    folder, _, file = inside.rpartition("/")
+    name = folder.removeprefix(ENCLAVES)
+    is_regular = path == layout.in_set(place, f"{ENCLAVES}{name}/{file}")
+    return (place, name, file) if is_regular else (layout.FIRST, "", "")
 
 
 def bundle_path(folder: Path, name: str) -> Path:
@@ -206,20 +317,37 @@ def save(goal: Path, data: bytes, *, private: bool = False, force: bool = False)
     write(goal, data, private=private, force=force)
 
 
-def _verified(
-    name: str, files: Mapping[str, bytes], now: datetime, *, keys: bool
-) -> dict[str, bytes]:
-    """The files, written again; with `keys`, the private keys, which must match the certificate."""
-    private = _private(name, files) if keys else {}
-    public = {file: data for file, data in files.items() if file not in KEYS}
+def _verified(sets: Mapping[str, Enclaves], now: datetime, *, keys: bool) -> dict[str, Enclaves]:
+    """`sets` with all files written again from the verified values.
+
+    With `keys`, also the private keys, which must match the certificates. VerificationError lists
+    everything that is wrong with one participant, or what differs between the sets.
+    """
+    written, found = dict[str, Enclaves](), dict[str, list[VerifiedCredentials]]()
+    for place, enclaves in sets.items():
+        private = {name: _private(name, files) if keys else {} for name, files in enclaves.items()}
+        found[place] = [
+            verify_credentials(_credentials(name, {**_public(files), **private[name]}), now=now)
+            for name, files in enclaves.items()
+        ]
+        written[place] = {each.name: {**each.files, **private[each.name]} for each in found[place]}
+    if problems := [*differences(found)]:
+        raise VerificationError(*problems, hint="`pqsec check` of the keystore says more")
+    return written
+
+
+def _public(files: Mapping[str, bytes]) -> dict[str, bytes]:
+    return {file: data for file, data in files.items() if file not in KEYS}
+
+
+def _credentials(name: str, files: Mapping[str, bytes]) -> Credentials:
     try:
-        credentials = Credentials.of(name, {**public, **private})
+        return Credentials.of(name, files)
     except PassphraseError as error:
         error.hint = (
             "a robot cannot open it: decrypt the key, or let the robot generate its own keys"
         )
         raise
-    return {**verify_credentials(credentials, now=now).files, **private}
 
 
 def _private(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
@@ -234,7 +362,13 @@ def _private(name: str, files: Mapping[str, bytes]) -> dict[str, bytes]:
     return {} if outside else private
 
 
-def _check_complete(name: str, files: Mapping[str, bytes]) -> None:
+def _set_lines(value: object) -> tuple[SetLine, ...]:
+    if not isinstance(value, list):
+        raise MalformedError("the manifest has set_lines that are not a list")
+    return tuple(map(SetLine.of_json, value))
+
+
+def _check_complete(place: str, name: str, files: Mapping[str, bytes]) -> None:
     try:
         if regular_name(name) != name:
             raise MalformedError(f"a bundle for {shown(name)!r}")
@@ -243,5 +377,6 @@ def _check_complete(name: str, files: Mapping[str, bytes]) -> None:
     missing = [each for each in NEEDED if each not in files]
     if missing:
         raise MalformedError(
-            f"the bundle lacks {', '.join(missing)} of {name}", code=Code.FILE_MISSING
+            f"the bundle lacks {', '.join(missing)} of {name}{f' in set {place}' if place else ''}",
+            code=Code.FILE_MISSING,
         )

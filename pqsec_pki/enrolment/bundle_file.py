@@ -48,6 +48,7 @@ class BundleFile:
         return {
             "bundle": self.path,
             "names": self.bundle.names,
+            "profiles": self.bundle.profiles,
             "number": self.bundle.number,
             "keys": self.bundle.has_keys,
             "sealed": self.recipient is not None,

@@ -9,20 +9,22 @@ from shlex import quote
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki.algorithms import SealingPrivateKey
-from pqsec_pki.enrolment._installed_trust import raised, trust_state
-from pqsec_pki.enrolment._next_set import NextSet
+from pqsec_pki.enrolment._installed_trust import raised, refuse_fewer_sets, trust_state
+from pqsec_pki.enrolment._next_installation import NextInstallation
+from pqsec_pki.enrolment.added_sets import with_added_sets
 from pqsec_pki.enrolment.bundle import Bundle
 from pqsec_pki.enrolment.credential_store import (
     CURRENT,
     CredentialStore,
-    InstalledSet,
+    InstalledCredentials,
     changing,
 )
+from pqsec_pki.enrolment.pins import Pins
 from pqsec_pki.enrolment.requesting import SEALING_KEY
 from pqsec_pki.enrolment.robot_clock import future_problems, verification_time
 from pqsec_pki.enrolment.sealed import is_sealed, open_sealed
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
-from pqsec_pki.enrolment.trust import Marks, Pins, TrustState
+from pqsec_pki.enrolment.trust import Marks, TrustState
 from pqsec_pki.enrolment.verification import VerifiedBundle, verify_bundle
 from pqsec_pki.errors import (
     KeystoreError,
@@ -45,13 +47,15 @@ class Installed:
     not_after: datetime
     """The time at which the first of its certificates expires."""
     current: Path
-    """The link to the current set."""
+    """The link to the current installation."""
     already: bool
     """Whether the same files were installed already, so only the receipt was written again."""
     bundle: int | None
     """The bundle's number, if it has one."""
     receipt: Path
     """The receipt, which shows the machine with the CAs what is installed."""
+    profiles: tuple[str, ...] = ()
+    """The profile of each set of credentials, the first one first."""
     future: tuple[Problem, ...] = ()
     """What is of the future by the clock of this robot, which is wrong, or the CA's was."""
 
@@ -63,6 +67,7 @@ class Installed:
             "not_after": self.not_after,
             "already": self.already,
             "bundle": self.bundle,
+            "profiles": self.profiles,
             "receipt": self.receipt,
             "future": list(map(str, self.future)),
         }
@@ -83,7 +88,8 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
 ) -> Installed:
     """Install a bundle, from a file or as its content, into the robot's folder `root`.
 
-    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here. On a
+    Its CAs must be those of `pins`, each in its role; without `pins`, those trusted here, and those
+    of sets of credentials for which they vouch. All sets that are installed must be in it. On a
     first installation `trust_first` trusts the CAs in the bundle. `older` accepts documents older
     than those installed before. Other installed participants stay, with the bundle's revocation
     list, unless `alone`. With `proofs` this bundle, and all later ones, must prove that the ledger
@@ -103,16 +109,17 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
         if alone and agreed is not None:
             _refuse_unasked(before, bundle, agreed)
         state = trust_state(store, before, needed=not (pins and older))
+        if state:
+            refuse_fewer_sets(bundle.further, state)
         trusted = _pins(state, pins, bundle, trust_first=trust_first)
         proofs = proofs or bool(state and state.proofs)
         found = _verified(bundle, trusted, before, now, proofs=proofs)
         newer = replace(raised(state, found.credentials, trusted, found.heads), proofs=proofs)
         if not older:
             _refuse_older(found, newer, state, _instead(state, trusted, root))
-        made = NextSet.of(bundle, found, store, before=before, alone=alone, pin=pin)
+        made = NextInstallation.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
-        answered = {name: made.enclaves[name] for name in bundle.names}
-        store.tidy(answered)  # also removes what a killed installation left
+        store.tidy(bundle.names)  # also removes what a killed installation left
         return _result(found, store, bundle, already=already, now=now)
 
 
@@ -134,12 +141,14 @@ def removed_alone(path: Path, root: Path) -> tuple[str, ...]:
         return _besides(store.current, names)
 
 
-def _besides(before: InstalledSet | None, names: Collection[str]) -> tuple[str, ...]:
+def _besides(before: InstalledCredentials | None, names: Collection[str]) -> tuple[str, ...]:
     """The installed participants, sorted, apart from `names`."""
     return tuple(sorted((before.enclaves if before else {}).keys() - set(names)))
 
 
-def _refuse_unasked(before: InstalledSet | None, bundle: Bundle, agreed: Collection[str]) -> None:
+def _refuse_unasked(
+    before: InstalledCredentials | None, bundle: Bundle, agreed: Collection[str]
+) -> None:
     """KeystoreError if others would be removed: they were installed since the question."""
     others = [each for each in _besides(before, bundle.names) if each not in agreed]
     if others:
@@ -167,11 +176,11 @@ def _opened(data: bytes, root: Path) -> bytes:
 def _pins(
     state: TrustState | None, pins: Pins | None, bundle: Bundle, *, trust_first: bool
 ) -> Pins:
-    """The CAs that are trusted, with their roles."""
+    """The CAs that are trusted, with their roles; errors as of `with_added_sets`."""
     if pins:
         return pins
     if state:
-        return state.pins
+        return with_added_sets(bundle, state.pins)
     if trust_first:
         return bundle.roles
     raise _no_cas()
@@ -186,7 +195,7 @@ def _no_cas() -> UsageError:
 
 
 def _verified(
-    bundle: Bundle, pins: Pins, before: InstalledSet | None, now: datetime, *, proofs: bool
+    bundle: Bundle, pins: Pins, before: InstalledCredentials | None, now: datetime, *, proofs: bool
 ) -> VerifiedBundle:
     at = verification_time(bundle.credentials, before, now)
     try:
@@ -235,11 +244,12 @@ def _result(
 ) -> Installed:
     future = (problem for each in found.credentials for problem in future_problems(each, now))
     return Installed(
-        names=tuple(each.name for each in found.verified),
+        names=bundle.names,
         not_after=min(each.certificate.not_after for each in found.verified),
         current=store.root / CURRENT,
         already=already,
         bundle=bundle.number,
         receipt=store.receipt,
+        profiles=bundle.profiles,
         future=tuple(dict.fromkeys(future)),
     )

@@ -10,7 +10,7 @@ from pqsec_pki.algorithms import SealingPublicKey
 from pqsec_pki.enrolment.bundle import Bundle, bundle_path
 from pqsec_pki.enrolment.bundle_file import BundleFile
 from pqsec_pki.errors import FileError, TooLargeError, UsageError
-from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore, refuse_further_sets
+from pqsec_pki.keystore import Authorities, BundleNumbers, Keystore
 from pqsec_pki.lifecycle import Issued, ParticipantSpec, issue
 
 
@@ -53,7 +53,6 @@ def issue_with_bundles(  # noqa: PLR0913 -- the choices are the user's, and by n
     """
     if recipient is None and any(spec.keys is None for spec in specs):
         raise UsageError("a bundle with private keys needs the key of its robot")
-    refuse_further_sets(keystore, "`--bundles` packs")
     paths = bundle_paths([spec.name for spec in specs], folder, force=force)
     issued = issue(
         keystore,

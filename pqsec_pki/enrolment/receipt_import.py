@@ -9,7 +9,7 @@ replaced the other: the later one has the newer certificate. No clock orders rec
 """
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import field
 from datetime import datetime, timedelta
 from pathlib import Path
@@ -18,6 +18,7 @@ from typing import Self, TypeAlias
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki._times import said
+from pqsec_pki.certificates import Certificate
 from pqsec_pki.enrolment.receipt import SignedReceipt, read_receipts
 from pqsec_pki.enrolment.tarball import MAX_ARCHIVE
 from pqsec_pki.errors import VerificationError, located
@@ -29,7 +30,6 @@ from pqsec_pki.keystore import (
     change,
     compromised_keys_in,
     key_hashes,
-    refuse_further_sets,
 )
 from pqsec_pki.problems import Code, Problem
 
@@ -91,7 +91,6 @@ def record_receipts(
     older: bool = False,
 ) -> list[ImportedReceipt]:
     """Like `import_receipts`, with the content of each file; the paths are for messages."""
-    refuse_further_sets(keystore, "a receipt is of")
     found, problems = _read(files)
     with keystore.hold():
         with keystore.open_ledger() as ledger:
@@ -127,11 +126,15 @@ class _Order:
     stores: dict[str, tuple[int, int]] = field(default_factory=dict)
     """By credential store, in the order in which each was last recorded: the number of its last
     receipt, and the largest sequence number of a certificate that signed one."""
+    further: set[str] = field(default_factory=set)
+    """The further sets of credentials that the newest receipt names."""
 
     def add(self, receipt: Receipt, certificate: int) -> None:
         """Record that `receipt` is the newest, signed with a certificate of that number."""
         _, before = self.stores.pop(receipt.store, (0, 0))
         self.stores[receipt.store] = receipt.number, max(before, certificate)
+        self.further.clear()
+        self.further.update(receipt.further)
 
     def older(self, receipt: Receipt, certificate: int) -> str | None:
         """Why `receipt`, signed with a certificate of that number, is not newer; None if it is.
@@ -144,6 +147,8 @@ class _Order:
         _, newest = next(reversed(self.stores.values()), (0, 0))
         if max(before, certificate) < newest:
             return "of a store with an older certificate than the one recorded last"
+        if lacking := sorted(self.further.difference(receipt.further)):
+            return f"it lacks the set of credentials {', '.join(lacking)}, which was installed"
         return None
 
 
@@ -153,6 +158,8 @@ class _Records:
 
     issued: Mapping[str, str] = field(repr=False)
     """The participant, by the SHA-256 of its certificate."""
+    sets: Mapping[str, Collection[str]] = field(repr=False)
+    """SHA-256 of the certificates, by the set of credentials."""
     revoked: frozenset[str]
     compromised: frozenset[str]
     recorded: set[str]
@@ -167,9 +174,13 @@ class _Records:
         for name in {signed.receipt.participant for _, signed in found}:
             for each in ledger.of_name(RECEIPT, name):
                 orders[name].add(Receipt.of(each), Receipt.certificate_number(each))
+        ledgers = {each.set_name: ledger.of(each.set_name) for each in keystore.sets}
         return cls(
             issued=ledger.issued(),
-            revoked=frozenset(ledger.numbers("revocation")),
+            sets={name: each.numbers("participant") for name, each in ledgers.items()},
+            revoked=frozenset(
+                sha256 for each in ledgers.values() for sha256 in each.numbers("revocation")
+            ),
             compromised=frozenset(compromised_keys_in(keystore.folder, ledger)),
             recorded=set(ledger.numbers(RECEIPT)),
             orders=orders,
@@ -181,24 +192,32 @@ class _Records:
         self.orders[signed.receipt.participant].add(signed.receipt, number)
 
     def is_revoked(self, signed: SignedReceipt) -> bool:
-        """Whether the certificate that signed was revoked, or its key as compromised."""
-        certificate = signed.certificate
+        """Whether a certificate that signed was revoked, or its key as compromised."""
+        return any(self._why_revoked(each) for each in signed.certificates.values())
+
+    def _why_revoked(self, certificate: Certificate) -> str | None:
+        if certificate.fingerprint in self.revoked:
+            return "its certificate was revoked"
         keys = key_hashes(certificate.public_key, certificate.alternative_key).split()
-        return certificate.fingerprint in self.revoked or not self.compromised.isdisjoint(keys)
+        if not self.compromised.isdisjoint(keys):
+            return "its key was revoked as compromised"
+        return None
 
     def problems(self, signed: SignedReceipt, *, older: bool) -> Iterator[Problem]:
         receipt, certificate = signed.receipt, signed.certificate
-        keys = key_hashes(certificate.public_key, certificate.alternative_key).split()
-        if self.issued.get(certificate.fingerprint) != receipt.participant:
-            words = "this keystore did not issue the certificate that signed the receipt"
-            yield Problem(words, Code.NOT_ISSUED)
-        elif certificate.fingerprint in self.revoked:
-            yield Problem("its certificate was revoked", Code.REVOKED)
-        elif not self.compromised.isdisjoint(keys):
-            yield Problem("its key was revoked as compromised", Code.REVOKED)
+        for name, each in signed.certificates.items():
+            if not self._is_issued(receipt.participant, each, name):
+                words = "this keystore did not issue the certificate that signed the receipt"
+                yield Problem(words, Code.NOT_ISSUED, f"set {name}" if name else "")
+            elif why := self._why_revoked(each):
+                yield Problem(why, Code.REVOKED, f"set {name}" if name else "")
         order = self.orders[receipt.participant]
         if not older and (why := order.older(receipt, certificate.number or 0)):
             yield Problem(why, Code.OLDER)
+
+    def _is_issued(self, name: str, certificate: Certificate, set_name: str) -> bool:
+        fingerprint = certificate.fingerprint
+        return self.issued.get(fingerprint) == name and fingerprint in self.sets.get(set_name, ())
 
 
 def _file(path: Path) -> tuple[Path, bytes]:

@@ -8,13 +8,13 @@ from pqsec_pki._times import said
 from pqsec_pki.certificates import BACKDATE
 from pqsec_pki.credentials import CERTIFICATE, GOVERNANCE, PERMISSIONS, REVOCATION_LIST, Credentials
 from pqsec_pki.enrolment._installed_trust import credentials_in
-from pqsec_pki.enrolment.credential_store import InstalledSet
+from pqsec_pki.enrolment.credential_store import InstalledCredentials
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.problems import Code, Problem
 
 
 def verification_time(
-    new: Collection[Credentials], before: InstalledSet | None, now: datetime
+    new: Collection[Credentials], before: InstalledCredentials | None, now: datetime
 ) -> datetime:
     """The time for which a bundle is verified: `now`, unless its CAs had not been made then.
 

@@ -1,4 +1,4 @@
-"""The trust state of a robot, which stays when one set of credentials replaces another.
+"""The trust state of a robot, which stays when one installation replaces another.
 
 Pins are the CAs that the robot trusts, each with its role. Marks are the largest numbers of the
 revocation list, the documents, the certificates and the ledger's head that were ever installed
@@ -11,93 +11,32 @@ import hashlib
 import json
 import re
 import secrets
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import field, replace
-from typing import Any, Self, TypeAlias
+from typing import Any, Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.credentials import (
-    CA_FILES,
     CERTIFICATE,
     GOVERNANCE,
-    IDENTITY_CA,
     PERMISSIONS,
-    PERMISSIONS_ALT_CA,
-    PERMISSIONS_CA,
     PROOF,
     REVOCATION_LIST,
     Credentials,
-    TrustAnchors,
 )
-from pqsec_pki.errors import KeystoreError, UsageError, other_format, shown
-from pqsec_pki.keystore import CurrentFiles, Keystore
+from pqsec_pki.enrolment.pins import Pins, file_of, role_of
+from pqsec_pki.errors import KeystoreError, MalformedError, other_format, shown
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.transparency import HASH, TreeHead
 
-FORMAT = 3
-ROLES = {
-    "identity": IDENTITY_CA,
-    "permissions": PERMISSIONS_CA,
-    "countersigner": PERMISSIONS_ALT_CA,
-}
-"""The role of a CA, as written on the command line, and the file that contains it."""
-
-Pins: TypeAlias = Mapping[str, frozenset[str]]
-"""SHA-256 fingerprints of CA certificates, hex, by the file that contains them."""
-
+FORMAT = 4
 _STORE = re.compile("[0-9a-f]{32}")
-_PIN = re.compile(rf"({'|'.join(ROLES)}):([0-9a-f]{{64}})")
 _WORDS = {
     CERTIFICATE: "the certificate is",
     GOVERNANCE: "the governance is",
     PERMISSIONS: "the permissions are",
     REVOCATION_LIST: "the revocation list is",
 }
-
-
-def pins_of(texts: Iterable[str]) -> Pins:
-    """Pins as written on the command line: identity:0ab1..., colons are optional.
-
-    UsageError for anything else: without roles, one CA could act as another.
-    """
-    found: dict[str, set[str]] = {}
-    for text in texts:
-        role, _, digits = text.lower().partition(":")
-        match = _PIN.fullmatch(f"{role}:{digits.replace(':', '')}")
-        if not match:
-            raise UsageError(
-                f"'{shown(text)}' is not a role and a SHA-256 fingerprint",
-                hint=f"write {', '.join(f'{each}:SHA256' for each in ROLES)};"
-                " `pqsec ca show --pins` on the CA machine prints them",
-            )
-        found.setdefault(ROLES[match[1]], set()).add(match[2])
-    return {file: frozenset(pins) for file, pins in found.items()}
-
-
-def pins_in_use(keystore: Keystore) -> Pins:
-    """The CAs that the robots of `keystore` trust; in an overlap, both identity CAs.
-
-    Errors as of `CurrentFiles.shared`: who pins others would trust them.
-    """
-    with CurrentFiles.of(keystore) as current:
-        return pins_in(current.anchors)
-
-
-def pin_texts(pins: Pins) -> list[str]:
-    """The pins as `pins_of` reads them, and `pqsec install` after --ca-fingerprint."""
-    return [f"{role}:{each}" for role, file in ROLES.items() for each in sorted(pins.get(file, ()))]
-
-
-def pin_problems(found: Pins, trusted: Pins) -> Iterator[Problem]:
-    """CAs `found` in a role for which they are not trusted, and trusted CAs that are missing."""
-    for role, file in ROLES.items():
-        there, due = found.get(file, frozenset()), trusted.get(file, frozenset())
-        for each in sorted(there - due):
-            words = f"the {role} CA is not trusted in this role: SHA-256 {each}"
-            yield Problem(words, Code.CA_UNKNOWN, file)
-        for each in sorted(due - there):
-            words = f"the {role} CA that is trusted is missing: SHA-256 {each}"
-            yield Problem(words, Code.CA_MISSING, file)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -188,6 +127,7 @@ class TrustState:
     """Pins and marks of one robot, and what it demands."""
 
     pins: Pins
+    """The CAs of each set of credentials, and so which sets the robot needs."""
     marks: Marks
     store: str
     """Names this credential store in receipts: 16 random bytes, in hex."""
@@ -212,9 +152,7 @@ class TrustState:
             marks, receipts = value["marks"], value["receipts"]
             return cls(
                 pins={
-                    file: frozenset(map(str, value["pins"][role]))
-                    for role, file in ROLES.items()
-                    if role in value["pins"]
+                    file_of(role): frozenset(map(str, pins)) for role, pins in value["pins"].items()
                 },
                 marks=Marks(
                     lists=_numbers(marks["lists"]),
@@ -227,7 +165,7 @@ class TrustState:
             )
         except (
             *(ValueError, KeyError, TypeError),
-            *(AttributeError, OverflowError, RecursionError),
+            *(AttributeError, OverflowError, RecursionError, MalformedError),
         ) as error:
             raise KeystoreError(f"cannot be read: {shown(str(error))}") from error
 
@@ -235,9 +173,7 @@ class TrustState:
         """The state as JSON; the same bytes for the same state."""
         value = {
             "format": FORMAT,
-            "pins": {
-                role: sorted(self.pins[file]) for role, file in ROLES.items() if file in self.pins
-            },
+            "pins": {role_of(file): sorted(pins) for file, pins in self.pins.items()},
             "marks": {
                 "lists": self.marks.lists,
                 "numbers": self.marks.numbers,
@@ -267,15 +203,6 @@ class TrustState:
     def with_next_receipt(self) -> "TrustState":
         """The state in which the store has made one more receipt."""
         return replace(self, receipts=self.receipts + 1)
-
-
-def pins_in(*anchors: TrustAnchors) -> Pins:
-    """The fingerprints of all CAs in `anchors`, by their roles."""
-    found: dict[str, set[str]] = {}
-    for each in anchors:
-        for file, authorities in each.roles.items():
-            found.setdefault(file, set()).update(ca.fingerprint for ca in authorities)
-    return {file: frozenset(found[file]) for file in CA_FILES if found.get(file)}
 
 
 def _identity_key(credentials: Credentials) -> str:

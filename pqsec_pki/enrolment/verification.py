@@ -4,7 +4,7 @@ Only the fingerprints of the CAs' certificates, each with its role, are trusted 
 the room `credentials` verifies everything else.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
@@ -19,9 +19,11 @@ from pqsec_pki.credentials import (
     verify_logged,
 )
 from pqsec_pki.enrolment.bundle import Bundle
-from pqsec_pki.enrolment.trust import Pins, pin_problems, pins_in
+from pqsec_pki.enrolment.one_meaning import differences
+from pqsec_pki.enrolment.pins import Pins, of_sets, pin_problems, pins_in, set_problems, sets_in
 from pqsec_pki.errors import PqsecError, VerificationError
-from pqsec_pki.problems import Code
+from pqsec_pki.keystore import layout
+from pqsec_pki.problems import Code, Problem
 from pqsec_pki.tokens import Pin, is_reference, key_in, stored_pin
 from pqsec_pki.transparency import LedgerProof, TreeHead
 
@@ -31,22 +33,33 @@ class VerifiedBundle:
     """A bundle in which everything was verified."""
 
     credentials: tuple[Credentials, ...]
-    verified: tuple[VerifiedCredentials, ...]
-    proofs: Mapping[str, LedgerProof]
-    """Proofs by participant; a participant may have none."""
+    sets: Mapping[str, tuple[VerifiedCredentials, ...]]
+    """The participants in each set of credentials, the first one first."""
+    proofs: Mapping[tuple[str, str], LedgerProof]
+    """Proofs by set and participant; there may be none."""
+
+    @property
+    def verified(self) -> tuple[VerifiedCredentials, ...]:
+        """Those of all sets."""
+        return tuple(each for found in self.sets.values() for each in found)
 
     @property
     def heads(self) -> dict[str, TreeHead]:
-        """The signed head of the ledger in each proof, by participant."""
-        return {name: each.checkpoint.head for name, each in self.proofs.items()}
+        """The signed head of the ledger in each proof, by participant; all sets have one."""
+        return {name: each.checkpoint.head for (_, name), each in self.proofs.items()}
 
     @property
-    def files(self) -> dict[str, dict[str, bytes]]:
-        """The files of each participant without keys, written again from the verified values."""
-        files = {each.name: dict(each.files) for each in self.verified}
-        for name, proof in self.proofs.items():
-            files[name][PROOF] = proof.to_bytes()
-        return files
+    def files(self) -> dict[str, dict[str, dict[str, bytes]]]:
+        """The files of each participant without keys, by set and name, written again from the
+        verified values."""
+        return {
+            place: {each.name: self._files(place, each) for each in found}
+            for place, found in self.sets.items()
+        }
+
+    def _files(self, place: str, verified: VerifiedCredentials) -> dict[str, bytes]:
+        proof = self.proofs.get((place, verified.name))
+        return {**verified.files, **({PROOF: proof.to_bytes()} if proof else {})}
 
 
 def verify_bundle(
@@ -54,35 +67,52 @@ def verify_bundle(
 ) -> VerifiedBundle:
     """Verify everything in `bundle` at the time `now`, except its private keys.
 
-    The CAs of each enclave must be exactly those of `pins`, each in its role, so that none can
-    be left out. The proof may be missing unless `proof_demanded`. VerificationError lists
-    everything that is wrong; MalformedError for a file that cannot be read.
+    The sets of credentials, and the CAs of each enclave in each set, must be exactly those of
+    `pins`, each in its role, so that none can be left out. The proof may be missing unless
+    `proof_demanded`. VerificationError lists everything that is wrong, also what differs between
+    the sets; MalformedError for a file that cannot be read.
     """
-    found = bundle.credentials
-    problems = [
-        problem.of(each.name)
-        for each in found
-        for problem in pin_problems(pins_in(each.anchors), pins)
-    ]
-    if problems:
+    if problems := [*_pin_problems(bundle, pins)]:
         raise VerificationError(
             *problems, hint="`pqsec ca show --pins` on the CA machine prints the fingerprints"
         )
-    verified, proofs = [], {}
-    for each in found:
+    verified: dict[str, list[VerifiedCredentials]] = {each: [] for each in bundle.sets}
+    proofs = {}
+    for place, each in _each(bundle):
         try:
             one = verify_credentials(each, now=now)
             proof = verify_logged(
                 one.name, one.anchors, one.files, bundle.proof, demanded=proof_demanded
             )
-            verified.append(one)
+            verified[place].append(one)
             if proof:
-                proofs[each.name] = proof
+                proofs[place, each.name] = proof
         except VerificationError as error:
-            problems += error.problems
-    if problems:
+            problems += [_of_set(place, problem) for problem in error.problems]
+    if problems := problems or [*differences(verified)]:
         raise VerificationError(*problems)
-    return VerifiedBundle(found, tuple(verified), proofs)
+    sets = {place: tuple(each) for place, each in verified.items()}
+    return VerifiedBundle(bundle.credentials, sets, proofs)
+
+
+def _each(bundle: Bundle) -> Iterator[tuple[str, Credentials]]:
+    """The credentials in a bundle, each with its set."""
+    for place, found in bundle.credentials_by_set.items():
+        for each in found:
+            yield place, each
+
+
+def _pin_problems(bundle: Bundle, pins: Pins) -> Iterator[Problem]:
+    known = (layout.FIRST, *sets_in(pins))
+    yield from set_problems(bundle.further, known[1:])
+    for place, each in _each(bundle):
+        own = of_sets(pins_in(each.anchors, set_name=place), known)
+        for problem in pin_problems(own, of_sets(pins, [place])):
+            yield problem.of(each.name)
+
+
+def _of_set(place: str, problem: Problem) -> Problem:
+    return problem.of(f"set {place}") if place else problem
 
 
 def keys_of(

@@ -35,6 +35,7 @@ The ledger:
     _replaced_cas     the CAs by the ledger, and whether another machine replaced them
     heads         the signed head of the ledger's tree
     proofs        proofs that the ledger has what is in a bundle
+    set_lines     lines that show of which set of credentials a CA is
     _entries      the lines for what is issued and signed
 Changes:
     _folder       access to folders by descriptor, never through a link
@@ -111,7 +112,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.authorities import Authorities, check_pair
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
-    from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.compromised import all_hashes, compromised_keys_in, key_hashes
     from pqsec_pki.keystore.current_files import CurrentFiles
     from pqsec_pki.keystore.delivery import (
         ADMISSION,
@@ -160,6 +161,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.set_faults import faults_of_sets
+    from pqsec_pki.keystore.set_lines import SetLine
     from pqsec_pki.keystore.sets import (
         further,
         refuse_further_sets,
@@ -175,6 +177,8 @@ if TYPE_CHECKING:
         ParticipantState,
         State,
         current_certificate,
+        in_all_sets,
+        is_revoked,
         participant_states,
     )
     from pqsec_pki.keystore.status_report import (
@@ -233,6 +237,7 @@ __all__ = [
     "RobotState",
     "SeenLedger",
     "SetChange",
+    "SetLine",
     "SharedRequests",
     "SharedStatus",
     "SigningCa",
@@ -241,6 +246,7 @@ __all__ = [
     "Status",
     "Transaction",
     "Way",
+    "all_hashes",
     "anchored_head",
     "approval_entries",
     "audit",
@@ -264,6 +270,8 @@ __all__ = [
     "grant_end_entry",
     "grant_entry",
     "groups_file",
+    "in_all_sets",
+    "is_revoked",
     "is_several",
     "key_algorithms",
     "key_hashes",

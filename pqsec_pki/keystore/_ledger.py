@@ -44,6 +44,7 @@ _REVOKED_FOR = (
 )
 _KEYS_AFTER = (
     f"SELECT number, ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
+    f" || ' ' || ifnull(CAST({_DETAIL.format('key_parts')} AS TEXT), '')"
     " FROM ledger WHERE +kind = 'participant' AND number > ?"
 )
 """The + keeps SQLite from the index of kinds, so that only the lines after that one are read."""
@@ -239,6 +240,13 @@ class Ledger:
         """The values that the tree hashes, for line `number`; None without that line."""
         return next((each for each in self.rows(after=number - 1) if each[0] == number), None)
 
+    def line(self, number: int) -> Line | None:
+        """Line `number`; None without that line."""
+        query = f"SELECT number, chain, {_table.COLUMNS} FROM ledger WHERE number = ?"  # noqa: S608 -- no outside text
+        with self._errors():
+            found = self._database.execute(query, (number,)).fetchone()
+            return _table.line(found) if found else None
+
     def newest(self, kind: str) -> list[Entry]:
         """The newest entry of that kind for each name."""
         own = self._condition([kind])
@@ -270,7 +278,7 @@ class Ledger:
         """Key, name, set and SHA-256 of each certificate for these keys, in any set, that ends at
         `until` or later.
 
-        `keys` are hashes, as of `key_hashes`.
+        `keys` are hashes, as of `all_hashes`.
         """
         with self._errors():
             last = _table.begin_keys(self._database)

@@ -1,18 +1,18 @@
-"""The number of a bundle: that of the newest ledger line among its files.
+"""The number of a bundle: that of the newest ledger line among its files, of all sets.
 
 It needs no counter, so a user who may only read a keystore can write bundles. Each change of a
 participant's files adds lines, so the number grows with it.
 """
 
 import hashlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import field
 from functools import cache, partial
 from typing import TYPE_CHECKING, Self
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.errors import MalformedError
+from pqsec_pki.errors import KeystoreError, MalformedError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._shared_files import pem_fingerprint
@@ -44,8 +44,8 @@ class BundleNumbers:
     there is none."""
     proofs: "LedgerProofs | None" = field(default=None, repr=False)
     """The proofs for bundles; None if there are none, or they were not asked for."""
-    current: CurrentFiles | None = field(default=None, repr=False)
-    """The files for bundles; None if they were not asked for."""
+    current: Mapping[str, CurrentFiles] = field(default_factory=dict, repr=False)
+    """The files for bundles, by the set of credentials; empty if they were not asked for."""
 
     @classmethod
     @contextmanager
@@ -56,22 +56,53 @@ class BundleNumbers:
         """
         from pqsec_pki.keystore.proofs import LedgerProofs  # noqa: PLC0415 -- `status` makes none
 
-        with CurrentFiles.of(keystore) as current:
-            ledger = current.ledger
+        with keystore.open_ledger() as ledger:
             proofs = LedgerProofs.of(keystore.root, ledger, tree)
-            yield cls(cache(partial(ledger.line_of, _KINDS)), _least(ledger), proofs, current)
+            current = {each.set_name: CurrentFiles.within(each, ledger) for each in keystore.sets}
+            least = _least([each.ledger for each in current.values()])
+            yield cls(cache(partial(ledger.line_of, _KINDS)), least, proofs, current)
 
     @classmethod
-    def among(cls, ledger: Ledger) -> Self:
+    def among(cls, keystore: Keystore, ledger: Ledger) -> Self:
         """The numbers for all robots at once; all are read from the ledger now."""
-        lines = {sha256: line for kind in _KINDS for sha256, line in ledger.numbers(kind).items()}
-        return cls(lines.get, _least(ledger))
+        sets = [ledger.of(each.set_name) for each in keystore.sets]
+        lines = {
+            sha256: line
+            for each in sets
+            for kind in _KINDS
+            for sha256, line in each.numbers(kind).items()
+        }
+        return cls(lines.get, _least(sets))
 
-    def files(self, name: str) -> dict[str, bytes]:
-        """The files for that participant's bundle; errors as of `CurrentFiles.enclave`."""
-        if self.current is None:
+    def sets_of(self, names: Collection[str]) -> tuple[Keystore, ...]:
+        """The sets of credentials that a bundle for these participants has, the first one first.
+
+        A participant that has no certificate in a set, by the ledger, waits for a request.
+        KeystoreError if others in `names` have one there: on their robot the set is needed.
+        """
+        first, *others = self.current.values()
+        found = [first.keystore]
+        for each in others:
+            lacking = [name for name in names if not each.ledger.count("participant", name)]
+            if lacking and len(lacking) < len(names):
+                raise KeystoreError(
+                    f"{', '.join(lacking)} has no certificate in the set of credentials"
+                    f" {each.keystore.set_name}, and others of this bundle have one",
+                    hint="write a bundle for each",
+                )
+            found += [] if lacking else [each.keystore]
+        return tuple(found)
+
+    def files(self, name: str, set_name: str = layout.FIRST) -> dict[str, bytes]:
+        """The files for that participant's bundle, of one set; errors as of
+        `CurrentFiles.enclave`."""
+        if not self.current:
             raise ValueError("these numbers are not for bundles")
-        return self.current.enclave(name)
+        return self.current[set_name].enclave(name)
+
+    def number_of(self, enclaves: Iterable[Mapping[str, bytes]]) -> int | None:
+        """The number of a bundle with these enclaves, as of `number`."""
+        return max(filter(None, map(self.number, enclaves)), default=None)
 
     def number(self, files: Mapping[str, bytes]) -> int | None:
         """The number of a bundle with these files of an enclave, by name.
@@ -82,8 +113,9 @@ class BundleNumbers:
         return max(*found, self.least) if found else None
 
 
-def _least(ledger: Ledger) -> int:
-    return max(ledger.numbers(TRUST_END).values(), default=0)
+def _least(ledgers: Iterable[Ledger]) -> int:
+    """The newest end of an overlap, by the ledger for each set."""
+    return max((line for each in ledgers for line in each.numbers(TRUST_END).values()), default=0)
 
 
 def bundle_number(value: object) -> int | None:

@@ -64,7 +64,13 @@ class CurrentFiles:
     def of(cls, keystore: Keystore) -> Iterator[Self]:
         """Those of `keystore`; errors as of `Keystore.open_ledger`."""
         with keystore.open_ledger() as ledger:
-            yield cls(keystore, ledger, _placed=ledger.placed("permissions"))
+            yield cls.within(keystore, ledger)
+
+    @classmethod
+    def within(cls, keystore: Keystore, ledger: Ledger) -> Self:
+        """Those of the set `keystore`, by the ledger that was opened for it or another set."""
+        own = ledger.of(keystore.set_name)
+        return cls(keystore, own, _placed=own.placed("permissions"))
 
     @classmethod
     @contextmanager
@@ -76,7 +82,7 @@ class CurrentFiles:
             yield None
             return
         with ledger:
-            yield cls(keystore, ledger, _placed=ledger.placed("permissions"))
+            yield cls.within(keystore, ledger)
 
     @property
     def anchors(self) -> TrustAnchors:

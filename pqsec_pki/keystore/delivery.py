@@ -2,7 +2,8 @@
 
 A robot refuses a revoked certificate only if its own list has it. The ledger knows each list by its
 SHA-256, and a receipt names the list that is installed. A robot without a receipt counts as one
-that lacks the list: nobody knows that it has it.
+that lacks the list: nobody knows that it has it. Of several sets of credentials a robot must have
+the list of each in which it has a certificate.
 """
 
 import shlex
@@ -12,12 +13,15 @@ from contextlib import suppress
 from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
+from typing import Self
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
 from pqsec_pki.credentials import REVOCATION_LIST
 from pqsec_pki.errors import PqsecError
+from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
+from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.accepted_certificates import AcceptedCertificate, Revocations
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
@@ -50,7 +54,8 @@ class LateRobot:
     """Those of the domain file that it is in."""
     has_receipt: bool
     list_number: int | None
-    """The number of the list that its receipt names; None without one of this CA."""
+    """The number of the list that its receipt names; None without one of this CA. Of several sets,
+    that of the first of which it lacks the newest list; as the next value."""
     list_ends: datetime | None
     """When that list ends: then its stack refuses every peer."""
     way: Way
@@ -65,7 +70,7 @@ class ListDelivery:
 
     keystore: Path
     number: int
-    """The number of the newest list."""
+    """The number of the newest list; of several sets, that of the first one that has a list."""
     robots: int
     """How many participants need it: those whose newest certificate is valid."""
     late: tuple[LateRobot, ...]
@@ -183,19 +188,17 @@ def list_delivery(
     now: datetime,
     participants: Iterable[ParticipantState] | None = None,
 ) -> ListDelivery | None:
-    """Which robots have the newest list at `now`; None if the identity CA issued no list, or while
-    two identity CAs are trusted, when there is none.
+    """Which robots have the newest list of each set at `now`.
 
+    None if no identity CA issued a list, or while two identity CAs are trusted, when there is none.
     `participants` are the states of all, if the caller has read them. KeystoreError for a damaged
     ledger. Only permissions of revoked participants are read.
     """
-    issuer = keystore.identity_ca.fingerprint
     with keystore.open_ledger() as ledger:
-        lists = {each.sha256: each for each in ledger.of_kind("crl")}
-        own = [each for each in lists.values() if each.issuer == issuer]
-        if not own or Overlap.of(keystore):
+        views = ((each, ledger.of(each.set_name)) for each in keystore.sets)
+        sets = [found for view, own in views if (found := _Lists.of(view, own, now))]
+        if not sets:
             return None
-        revocations = Revocations.of(keystore, ledger, own, now)
         receipts = {each.name: Receipt.of(each) for each in ledger.newest(RECEIPT)}
         admitted = {each.details.get("participant", "") for each in ledger.of_kind(ADMISSION)}
         states = participants or participant_states(keystore, ledger, now=now)
@@ -204,35 +207,79 @@ def list_delivery(
     groups, late, accepted = _groups_of(keystore), [], set[str]()
     for each in robots:
         receipt = receipts.get(each.name)
-        held = lists.get(receipt.files.get(REVOCATION_LIST, "")) if receipt else None
-        if held is own[-1]:
+        held = [(own, own.held_by(receipt)) for own in sets if each.name in own.names]
+        lacking = [(own, entry) for own, entry in held if entry is not own.newest]
+        if not lacking:
             continue
-        ends = revocations.accepted_with(held)
-        accepted |= ends.keys()
+        ends = [(own.revocations.accepted_with(entry), entry) for own, entry in lacking]
+        accepted.update(*(found.keys() for found, _ in ends))
+        first, entry = lacking[0]
         late.append(
             LateRobot(
                 name=each.name,
                 groups=groups.get(each.name, ()),
                 has_receipt=receipt is not None,
-                list_number=held.list_number if held and held.issuer == issuer else None,
-                list_ends=held.ends if held else None,
+                list_number=entry.list_number if entry and entry.issuer == first.issuer else None,
+                list_ends=entry.ends if entry else None,
                 way=_way(each, receipt, admitted),
-                until=_until(ends, held),
+                until=_until(ends),
             )
         )
+    every = [each for own in sets for each in own.revocations.every]
     return ListDelivery(
         keystore=keystore.root,
-        number=own[-1].list_number,
+        number=sets[0].newest.list_number,
         robots=len(robots),
         late=tuple(late),
-        accepted=tuple(each for each in revocations.every if each.serial in accepted),
+        accepted=tuple(each for each in every if each.serial in accepted),
     )
 
 
-def _until(accepted: Mapping[str, datetime], held: Entry | None) -> datetime | None:
-    """When none of these is accepted any more: all have ended, or its own list has."""
-    last = max(accepted.values(), default=None)
-    return min(last, held.ends) if last and held else last
+@dataclass(frozen=True, slots=True)
+class _Lists:
+    """The revocation lists of one set."""
+
+    set_name: str
+    issuer: str
+    """SHA-256 of the identity CA that issues now."""
+    newest: Entry
+    known: Mapping[str, Entry]
+    """All lists that were ever issued, by their SHA-256."""
+    revocations: Revocations
+    names: frozenset[str]
+    """The participants that have a certificate in this set."""
+
+    @classmethod
+    def of(cls, keystore: Keystore, ledger: Ledger, now: datetime) -> Self | None:
+        """Those of the set `keystore`; None without a list, or while two CAs are trusted."""
+        issuer = keystore.identity_ca.fingerprint
+        known = {each.sha256: each for each in ledger.of_kind("crl")}
+        own = [each for each in known.values() if each.issuer == issuer]
+        if not own or Overlap.of(keystore):
+            return None
+        return cls(
+            set_name=keystore.set_name,
+            issuer=issuer,
+            newest=own[-1],
+            known=known,
+            revocations=Revocations.of(keystore, ledger, own, now),
+            names=frozenset(each.name for each in ledger.newest("participant")),
+        )
+
+    def held_by(self, receipt: Receipt | None) -> Entry | None:
+        """The list of this set that the receipt names."""
+        place = layout.in_set(self.set_name, REVOCATION_LIST)
+        return self.known.get(receipt.files.get(place, "")) if receipt else None
+
+
+def _until(accepted: Iterable[tuple[Mapping[str, datetime], Entry | None]]) -> datetime | None:
+    """When none of these is accepted any more: all have ended, or its own list of the set has."""
+    found = []
+    for ends, held in accepted:
+        last = max(ends.values(), default=None)
+        if last:
+            found.append(min(last, held.ends) if held else last)
+    return max(found, default=None)
 
 
 def _way(state: ParticipantState, receipt: Receipt | None, admitted: set[str]) -> Way:

@@ -44,9 +44,15 @@ class LedgerProofs:
             return None
         return cls(checkpoint, tree, ledger)
 
-    def proof(self, enclaves: Iterable[Mapping[str, bytes]]) -> LedgerProof | None:
-        """The proof for the files of these enclaves; None if a line is not in the signed tree."""
+    def proof(
+        self, enclaves: Iterable[Mapping[str, bytes]], cas: Iterable[tuple[str, str]] = ()
+    ) -> LedgerProof | None:
+        """The proof for the files of these enclaves; None if a line is not in the signed tree.
+
+        With `cas`, the kinds and SHA-256 of lines about CAs, also for these.
+        """
         wanted = dict.fromkeys(each for files in enclaves for each in logged_hashes(files))
+        wanted |= dict.fromkeys(cas)
         lines = [line for each in wanted if (line := self._line(*each))]
         if len(lines) < len(wanted):
             return None

@@ -26,9 +26,10 @@ RECEIPT = "receipt"
 FORMAT = 2
 PUBLIC_FILES = tuple(file for file in FILES if file not in KEYS)
 MAX_STATEMENT = 16 << 10
-"""Bytes; the seven files of an enclave take less than one thousand."""
+"""Bytes; the seven files of an enclave in one set take less than one thousand."""
 _STATEMENT = "statement"
 _CERTIFICATE = "certificate"
+_IN_SET = re.compile(rf"{layout.SETS}/[a-z0-9-]{{1,64}}/([^/]+)")
 _SHA256 = re.compile("[0-9a-f]{64}")
 _STORE = re.compile("[0-9a-f]{32}")
 _VERSION = re.compile(r"[0-9A-Za-z.+_-]{1,64}")
@@ -46,7 +47,8 @@ class Receipt:
     bundle: int | None
     """The number of the bundle that it came from, as its manifest says. Nothing signs that."""
     files: Mapping[str, str]
-    """SHA-256 of each file, in hex, by its name; never of a private key."""
+    """SHA-256 of each file, in hex, by its name, as of `layout.in_set`: that of a further set is
+    sets/hybrid/cert.pem. Never of a private key."""
     installed_at: datetime
     made_at: datetime
     """The times of the installation and of the receipt, by the robot's clock, which may be wrong.
@@ -116,7 +118,7 @@ class Receipt:
                 number=_number(value["number"]),
                 bundle=bundle_number(value["bundle"]),
                 files={
-                    _one_of(PUBLIC_FILES, name): _matching(_SHA256, each)
+                    _file_name(name): _matching(_SHA256, each)
                     for name, each in value["files"].items()
                 },
                 installed_at=_time(value["installed_at"]),
@@ -133,6 +135,11 @@ class Receipt:
         return found
 
     @property
+    def further(self) -> tuple[str, ...]:
+        """The further sets of credentials of which it names files, sorted."""
+        return tuple(sorted({each.split("/")[1] for each in self.files if "/" in each}))
+
+    @property
     def sha256(self) -> str:
         """SHA-256 of the statement, in hex; it does not depend on the signatures."""
         return hashlib.sha256(self.to_json()).hexdigest()
@@ -144,10 +151,12 @@ def _text(value: object) -> str:
     return value
 
 
-def _one_of(names: tuple[str, ...], value: object) -> str:
-    if value not in names:
-        raise ValueError(f"{shown(str(value))} is not one of {', '.join(names)}")
-    return _text(value)
+def _file_name(value: object) -> str:
+    name = _text(value)
+    match = _IN_SET.fullmatch(name)
+    if (match[1] if match else name) not in PUBLIC_FILES:
+        raise ValueError(f"{shown(name)} is not one of {', '.join(PUBLIC_FILES)}")
+    return name
 
 
 def _matching(pattern: re.Pattern[str], value: object) -> str:

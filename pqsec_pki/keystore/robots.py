@@ -2,7 +2,7 @@
 
 import hashlib
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from datetime import datetime
 from enum import StrEnum
@@ -21,6 +21,7 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.errors import KeystoreError, PqsecError, VerificationError
 from pqsec_pki.keystore import layout
+from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore.bundle_numbers import BundleNumbers
 from pqsec_pki.keystore.current_files import CurrentFiles
 from pqsec_pki.keystore.keystore import Keystore
@@ -28,6 +29,8 @@ from pqsec_pki.keystore.participant import enclave_files
 from pqsec_pki.keystore.receipt import PUBLIC_FILES, RECEIPT, Receipt
 from pqsec_pki.keystore.states import ParticipantState, State
 from pqsec_pki.smime import is_canonical
+
+_ENDED = frozenset({State.REVOKED, State.GONE, State.ELSEWHERE})
 
 
 class InstallState(StrEnum):
@@ -38,7 +41,7 @@ class InstallState(StrEnum):
     UNKNOWN = "unknown"
     """No receipt was imported."""
     NONE = "none"
-    """It should run nothing: its certificate is revoked, or gone."""
+    """It should run nothing: its certificate is revoked, or gone, in one of the sets."""
 
     @property
     def calls_for_bundle(self) -> bool:
@@ -58,7 +61,8 @@ class RobotState:
     """The number of the bundle that `pqsec bundle` would write now. None if it should run nothing,
     or if no receipt of any participant was imported: then no file is read."""
     changed: tuple[str, ...] = ()
-    """The names of the files that differ, or that only the robot or only the keystore has."""
+    """The names of the files that differ, or that only the robot or only the keystore has; those of
+    a further set of credentials as in `Receipt.files`."""
 
     @property
     def runs(self) -> int | None:
@@ -98,13 +102,25 @@ def robot_states(
     """
     with keystore.open_ledger() as ledger:
         receipts = {entry.name: Receipt.of(entry) for entry in ledger.newest(RECEIPT)}
-        numbers = BundleNumbers.among(ledger) if receipts else None
+        numbers = BundleNumbers.among(keystore, ledger) if receipts else None
+        sets = [(each, _certified(ledger.of(each.set_name))) for each in keystore.sets[1:]]
     shared = _newer(keystore)
     with disk_errors(keystore.root):
         return {
-            each.name: _state(keystore, each, receipts.get(each.name), numbers, shared)
+            each.name: _state(
+                [keystore.sets[0], *(view for view, names in sets if each.name in names)],
+                each,
+                receipts.get(each.name),
+                numbers,
+                shared,
+            )
             for each in participants
         }
+
+
+def _certified(ledger: Ledger) -> frozenset[str]:
+    """The participants that have a certificate in the set of that ledger."""
+    return frozenset(each.name for each in ledger.newest("participant"))
 
 
 def _newer(keystore: Keystore) -> dict[tuple[int, int], bytes]:
@@ -119,27 +135,28 @@ def _newer(keystore: Keystore) -> dict[tuple[int, int], bytes]:
 
 
 def _state(
-    keystore: Keystore,
+    sets: Sequence[Keystore],
     participant: ParticipantState,
     receipt: Receipt | None,
     numbers: BundleNumbers | None,
     shared: dict[tuple[int, int], bytes],
 ) -> RobotState:
     name, state = participant.name, InstallState.UNKNOWN
-    if participant.state in {State.REVOKED, State.GONE, State.ELSEWHERE}:
+    ended = {each.state for each in (participant, *participant.further)} & _ENDED
+    if ended:
         return RobotState(name=name, state=InstallState.NONE, receipt=receipt, should_run=None)
     if numbers is None:
         return RobotState(name=name, state=state, receipt=None, should_run=None)
-    files = _files(keystore.folder, name, shared)
+    found = {each.set_name: _files(each.folder, name, shared) for each in sets}
     changed: tuple[str, ...] = ()
     if receipt:
-        changed = _changed(files, receipt.files, numbers)
+        changed = _changed(found, receipt.files, numbers)
         state = InstallState.OUTDATED if changed else InstallState.CURRENT
     return RobotState(
         name=name,
         state=state,
         receipt=receipt,
-        should_run=numbers.number(files),
+        should_run=numbers.number_of(found.values()),
         changed=changed,
     )
 
@@ -166,20 +183,23 @@ def _files(root: Path, name: str, shared: dict[tuple[int, int], bytes]) -> dict[
 
 
 def _changed(
-    files: Mapping[str, bytes], installed: Mapping[str, str], numbers: BundleNumbers
+    sets: Mapping[str, Mapping[str, bytes]], installed: Mapping[str, str], numbers: BundleNumbers
 ) -> tuple[str, ...]:
     """The names of files that are not installed as they are, or would be in a bundle."""
-    return tuple(
-        file
-        for file in sorted(files.keys() | installed.keys())
-        if _differs(file, files, installed.get(file), numbers)
-    )
+    known = {layout.in_set(name, file) for name, files in sets.items() for file in files}
+    changed = [
+        layout.in_set(name, file)
+        for name, files in sets.items()
+        for file in files
+        if _differs(file, files, installed.get(layout.in_set(name, file)), numbers)
+    ]
+    return tuple(sorted({*changed, *(installed.keys() - known)}))
 
 
 def _differs(
     file: str, files: Mapping[str, bytes], installed: str | None, numbers: BundleNumbers
 ) -> bool:
-    if file not in files or installed is None:
+    if installed is None:
         return True
     here = _sha256(files[file])
     if here == installed:

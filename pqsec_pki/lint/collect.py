@@ -12,7 +12,7 @@ from pqsec_pki.lint._search import Search
 from pqsec_pki.lint.document import Document, Documents, same_lines
 from pqsec_pki.lint.file import File
 from pqsec_pki.lint.profile import profile_file_of
-from pqsec_pki.lint.subjects import CertificateFile, CompareHead, EnclaveFolder, Inventory
+from pqsec_pki.lint.subjects import CertificateFile, Compare, EnclaveFolder, Inventory
 from pqsec_pki.stacks import Stack
 
 _DOCUMENT = re.compile(r".*\.(p7s|smime)|(governance|permissions)\.xml", re.IGNORECASE)
@@ -24,13 +24,13 @@ def take_inventory(
     now: datetime,
     anchors: TrustAnchors | None = None,
     proofs: bool = False,
-    compare_head: CompareHead | None = None,
+    compare: Compare | None = None,
 ) -> Inventory:
     """The inventory of these files and folders; links to files are followed.
 
     Enclaves with the CAs in `anchors` use this value, with what it verified before. With `proofs`,
     each must have one that the ledger has its documents; UsageError for a keystore, which has none.
-    `compare_head` compares the heads in proofs with those seen before.
+    `compare` compares enclaves with what was seen there before.
 
     FileError if a path does not exist or cannot be read, or if there is nothing or too much to
     check.
@@ -68,7 +68,7 @@ def take_inventory(
         documents=tuple(each for each in documents if not _is_copy(each, by_path)),
         profiles=tuple(profiles.values()),
         certificates=certificates,
-        enclaves=tuple(_enclaves(search, subjects, SharedAnchors(anchors), compare_head)),
+        enclaves=tuple(_enclaves(search, subjects, SharedAnchors(anchors), compare)),
         keystore=search.keystore,
         interrupted_change=search.interrupted_change,
         missing_parts=search.missing_parts,
@@ -109,7 +109,7 @@ def _enclaves(
     search: Search,
     subjects: Mapping[File, Document | CertificateFile],
     anchors: SharedAnchors,
-    compare_head: CompareHead | None,
+    compare: Compare | None,
 ) -> Iterator[EnclaveFolder]:
     for folder, names in search.enclaves.items():
         files = {name: search.files[key] for name, key in names.items() if key in search.files}
@@ -121,7 +121,7 @@ def _enclaves(
             broken_links=broken,
             now=search.now,
             proof_demanded=search.proofs,
-            compare_head=compare_head,
+            compare=compare,
             subjects={name: subjects[each] for name, each in files.items() if each in subjects},
             shared_anchors=anchors,
         )

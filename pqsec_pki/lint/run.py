@@ -17,7 +17,7 @@ from pqsec_pki.lint.enclaves.trust import without_repetitions
 from pqsec_pki.lint.keystores.files import PRIVATE
 from pqsec_pki.lint.keystores.incomplete import UNREAD
 from pqsec_pki.lint.rule import Finding, Rule, Severity, is_about
-from pqsec_pki.lint.subjects import CompareHead, Inventory
+from pqsec_pki.lint.subjects import Compare, Inventory
 from pqsec_pki.lint.suppress import FILE_NAME, Suppression, SuppressionFile, read_suppressions
 from pqsec_pki.lint.table import RULES
 
@@ -80,19 +80,17 @@ def check(  # noqa: PLR0913 -- one for each option
     ignore: Iterable[Suppression] = (),
     anchors: TrustAnchors | None = None,
     proofs: bool = False,
-    compare_head: CompareHead | None = None,
+    compare: Compare | None = None,
 ) -> LintReport:
     """Find everything that is wrong or risky in these files, folders and keystores.
 
     No `targets` means all stacks. FileError if a path itself cannot be read; problems and
     unreadable files inside are findings. Documents that `anchors` verified before are not verified
     again. With `proofs`, each enclave must have one that the ledger has its documents;
-    `compare_head` compares the heads in proofs with those seen before.
+    `compare` compares enclaves with what was seen there before.
     """
     named = list(paths)
-    inventory = take_inventory(
-        named, now=now, anchors=anchors, proofs=proofs, compare_head=compare_head
-    )
+    inventory = take_inventory(named, now=now, anchors=anchors, proofs=proofs, compare=compare)
     meant = frozenset(targets)
     asked = [rule for rule in RULES.values() if rule.matters_to(meant)]
     files = list(_suppression_files(named, tuple(ignore), asked, now.date()))

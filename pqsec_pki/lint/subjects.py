@@ -85,8 +85,9 @@ class CertificateFile(Content):
         return next(iter(self.certificates), None)
 
 
-CompareHead: TypeAlias = Callable[[Path, Credentials, TreeHead], Iterable[Problem]]
-"""Finds problems of the verified head in the proof of the enclave in that folder."""
+Compare: TypeAlias = Callable[[Path, Credentials, TreeHead | None], Iterable[Problem]]
+"""Finds problems of the enclave in that folder, whose credentials were verified, and of the head in
+its proof, if it has one."""
 
 
 @dataclass(frozen=True)
@@ -103,8 +104,8 @@ class EnclaveFolder:
     now: datetime = field(repr=False)
     proof_demanded: bool = field(repr=False)
     """Whether it must have a proof that the ledger has its documents."""
-    compare_head: CompareHead | None = field(repr=False)
-    """Compares the head in its proof with what was seen there before."""
+    compare: Compare | None = field(repr=False)
+    """Compares it with what was seen there before."""
     subjects: Mapping[str, "Document | CertificateFile"] = field(repr=False)
     """The documents and certificates in its files, by file name."""
     shared_anchors: SharedAnchors = field(repr=False)

@@ -22,8 +22,8 @@ def take_receipts(
     """
     with keystore.open_ledger() as ledger:
 
-        def is_issued(name: str, certificate: Certificate) -> bool:
-            lines = ledger.of_name("participant", name)
+        def is_issued(name: str, certificate: Certificate, set_name: str) -> bool:
+            lines = ledger.of(set_name).of_name("participant", name)
             return any(each.sha256 == certificate.fingerprint for each in lines)
 
         found = read_receipts(body, is_issued)

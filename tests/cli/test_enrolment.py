@@ -289,7 +289,7 @@ def test_the_way_back(pqsec, asked, tmp_path):
     pqsec(f"-k k issue --csr r/{CSR} {ROBOT} {TOPIC}").done()
     pqsec("install fleet+robot1.bundle --dir r --trust-first").done()
     first = (robot / f"current/enclaves{ROBOT}/cert.pem").read_bytes()
-    pqsec("rollback --dir r").refused(3, "has no set from before")
+    pqsec("rollback --dir r").refused(3, "has no installation from before")
     time.sleep(1.01)  # certificates and signatures know whole seconds
     pqsec(f"-k k renew {ROBOT}").done()
     pqsec(f"-k k bundle {ROBOT} --force").done()

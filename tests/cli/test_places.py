@@ -202,7 +202,7 @@ def test_a_robots_folder_below_an_open_one_is_refused(pqsec, keystore, place):
     )
 
 
-@pytest.mark.parametrize("file", ["trust.json", "sets", "requests"])
+@pytest.mark.parametrize("file", ["trust.json", "installed", "requests"])
 def test_what_a_robot_trusts_is_looked_at(pqsec, keystore, place, file):
     pqsec("-k k bundle /r1 --plain-key -o b").done()
     pins = pqsec("-k k ca show --pins").out

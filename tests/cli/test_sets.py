@@ -63,15 +63,12 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
 @pytest.mark.parametrize(
     "line",
     [
-        "bundle /talker",
         "ca rotate --profile pq",
-        "ca show --pins",
         "ca crl --show -o x",
         "export cyclonedds /talker",
         "ledger move postgresql://u@h/d",
         "report -o x",
         "estimate",
-        "receipt import x",
         "sign-governance k/enclaves/governance.xml -o x.p7s",
     ],
 )
@@ -212,3 +209,45 @@ def test_migrate_plans_an_addition(pqsec, tmp_path):
     pqsec("-k k migrate plan --to hybrid,classical").refused(3, "none is removed")
     pqsec("-k k migrate plan --to classical,other").refused(2, "'other' is not one of")
     pqsec("-k k migrate plan --to pq").refused(3, "is for one set")
+
+
+def test_bundles_installations_and_receipts_are_of_all_sets(pqsec, k, tmp_path):
+    made = json.loads(pqsec("-k k bundle /talker --plain-key -o b --json").done().out)
+    assert made["profiles"] == ["classical", "hybrid"]
+    pins = pqsec("-k k ca show --pins").done().out
+    assert "--ca-fingerprint hybrid/identity:" in pins
+    first = " ".join(each for each in pins.splitlines() if "hybrid" not in each)
+    pqsec(f"install b --dir r {first}").refused(1, "set of credentials hybrid are not trusted here")
+    done = json.loads(pqsec(f"install b --dir r --json {' '.join(pins.split())}").done().out)
+    assert (done["installed"], done["profiles"]) == (["/talker"], ["classical", "hybrid"])
+    assert (tmp_path / "r/current/sets/hybrid/enclaves/talker/cert.pem").exists()
+    pqsec("-k k receipt import r/installed.receipt").done()
+    assert "current" in pqsec("-k k status /talker").done().out
+    pqsec("-k k renew /talker").done()
+    [row] = json.loads(pqsec("-k k status /talker --json").done().out)["participants"]
+    assert "sets/hybrid/cert.pem" in row["changed"]
+    [bundle] = json.loads(
+        pqsec("-k k bundle /talker --outdated --plain-key -o b --force --json").done().out
+    )["bundles"]
+    assert bundle["number"] == row["should_run"]
+    pqsec("install b --dir r").done()
+    pqsec("check r/current/").done()
+
+
+def test_robots_get_bundles_while_some_wait_for_a_set_that_was_added(pqsec, tmp_path):
+    pqsec("-k k ca init --profile classical --no-passphrase").done()
+    pqsec("-k k issue /robot --publish chatter").done()
+    (tmp_path / "k/enclaves/robot/key.pem").unlink()
+    pqsec("-k k ca add-set hybrid").done()
+    [made] = json.loads(pqsec("-k k bundle --outdated --no-keys --json").done().out)["bundles"]
+    assert made["profiles"] == ["classical"]
+    assert "incomplete" in pqsec("-k k status").done().out
+
+
+def test_a_sealed_bundle_has_the_keys_of_all_sets(pqsec, k, tmp_path):
+    del k
+    pqsec("bundle-key --dir r").done()
+    pqsec("-k k bundle /talker --seal-for r/bundle.pub.pem -o sealed").done()
+    pins = " ".join(pqsec("-k k ca show --pins").done().out.split())
+    pqsec(f"install sealed --dir r {pins}").done()
+    assert (tmp_path / "r/current/sets/hybrid/enclaves/talker/key.pem").exists()

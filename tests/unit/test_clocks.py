@@ -7,7 +7,7 @@ import pytest
 
 from pqsec_pki.credentials import PROOF, Credentials
 from pqsec_pki.documents import Governance
-from pqsec_pki.enrolment import Bundle, head_problems, install, rollback
+from pqsec_pki.enrolment import Bundle, install, problems_where_installed, rollback
 from pqsec_pki.enrolment.credential_store import CredentialStore
 from pqsec_pki.enrolment.robot_clock import verification_time
 from pqsec_pki.enrolment.trust import Marks, TrustState
@@ -259,7 +259,7 @@ def test_a_check_finds_a_head_that_is_older_than_one_seen(fork, tmp_path):
     robot = tmp_path / "robot"
 
     def found():
-        report = check([robot], now=NOW, proofs=True, compare_head=head_problems)
+        report = check([robot], now=NOW, proofs=True, compare=problems_where_installed)
         return [each.message for each in report.findings if each.rule.id == "PQS319"]
 
     assert found() == []
@@ -277,7 +277,9 @@ def test_only_the_current_set_of_a_robot_is_compared_with_the_head_seen(fork, tm
 
     def problems():
         return list(
-            head_problems(found.path / "enclaves/talker", Credentials.of(ROBOT, files), head)
+            problems_where_installed(
+                found.path / "enclaves/talker", Credentials.of(ROBOT, files), head
+            )
         )
 
     assert [each.code for each in problems()] == [Code.OLDER]
@@ -286,7 +288,7 @@ def test_only_the_current_set_of_a_robot_is_compared_with_the_head_seen(fork, tm
     (robot / "trust.kept").rename(trust)
     current.unlink()
     assert problems() == []
-    current.symlink_to("sets/1")
+    current.symlink_to("installed/1")
     assert problems() == []
 
 

@@ -7,6 +7,7 @@ import pytest
 
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.approvals import Covered
+from pqsec_pki.certificates import certificate_request
 from pqsec_pki.domain import PlanReview, apply, apply_plan, import_domain, read_domain
 from pqsec_pki.enrolment import request
 from pqsec_pki.errors import (
@@ -20,6 +21,7 @@ from pqsec_pki.keystore import (
     audit,
     change,
     document_entry,
+    load_certificate,
     stage_governance,
 )
 from pqsec_pki.lifecycle import (
@@ -35,6 +37,7 @@ from tests.unit.approving import DOMAIN, GROWS, Council, refused
 from tests.unit.domains import DAY, NAMES, NOW, Scene
 from tests.unit.killing import copies
 from tests.unit.test_domain_orders import BOTH, OrderedLine
+from tests.unit.test_registration import ordered
 from tests.unit.test_sets import ABOUT_THE_LEDGER, files_of, one_meaning_but_numbers
 
 FILE = """
@@ -662,3 +665,71 @@ def test_a_set_is_added_where_the_keys_of_both_cas_are(scene):
         found = scene.plan(only=only)
         assert [each.action for each in found.left if each.action == "add-set"] == ["add-set"]
         assert "add-set" not in {each.action for each in found.steps}
+
+
+def certified(view, name):
+    """The certificate of who has its key elsewhere."""
+    return load_certificate(view.folder / f"enclaves{name}/cert.pem")
+
+
+def test_a_request_for_all_sets_is_answered_in_all(both):
+    classical, hybrid = map(profile_named, ("classical", "hybrid"))
+    place = both.root.parent / "robot"
+    asked = request("/arm", classical, place, further=[hybrid])
+    both.write(f"{both.file.read_text()}  - {{name: /arm, role: robot, request: {asked.path}}}\n")
+    [step] = both.plan().steps
+    assert (step.action, step.name, len(step.keys.split())) == ("issue", "/arm", 2)
+    both.apply()
+    assert both.plan().in_order
+    found = [certified(each, "/arm").spki for each in both.keystore.sets]
+    assert len({*found}) == 2
+    request("/arm", classical, place, further=[hybrid], force=True)
+    [blocked] = both.plan().blocked
+    assert "its request is for another key" in blocked.why
+    assert [each.action for each in both.plan(new_keys=True).steps] == ["replace"]
+
+
+@pytest.mark.parametrize("is_own", [True, False])
+def test_who_has_its_key_gets_an_added_set_by_a_request_that_proves_it(tmp_path, is_own):
+    classical, hybrid = map(profile_named, ("classical", "hybrid"))
+    own, other = (classical.participant_key.generate() for _ in range(2))
+    file = tmp_path / "arm.csr"
+    file.write_bytes(certificate_request("/arm", own).pem)
+    scene = Scene(tmp_path, f"{FILE}  - {{name: /arm, role: robot, request: arm.csr}}\n")
+    scene.apply()
+    scene.change(ONE, TWO)
+    scene.apply()
+    [blocked] = scene.plan().blocked
+    assert "it lacks keys of profile hybrid" in blocked.why
+    new = hybrid.participant_key.generate()
+    first = own if is_own else other
+    file.write_bytes(certificate_request("/arm", first, further=[(new, None)]).pem)
+    if not is_own:
+        [blocked] = scene.plan().blocked
+        assert "--new-keys" in blocked.way_out
+        return
+    assert scene.steps() == [("replace", "/arm")]
+    scene.apply()
+    assert scene.plan().in_order
+    found = [certified(each, "/arm").spki for each in scene.keystore.sets]
+    assert found == [own.public_key.spki, new.public_key.spki]
+
+
+def test_an_order_for_all_sets_enrols_in_all(tmp_path):
+    line = OrderedLine(tmp_path / "line")
+    line.change("profile: classical", "profile: [classical, hybrid]")
+    line.apply()
+    hybrid = profile_named("hybrid")
+    asked = [
+        request(name, line.profile, tmp_path / "robots", further=[hybrid]).request for name in BOTH
+    ]
+    grant = line.add()
+    line.bring(ordered(asked, grant, line.key, "robot", validity=90 * DAY, now=NOW))
+    assert {each.action for each in line.plan().steps} == {"enrol"}
+    line.apply()
+    assert line.plan().in_order
+    for name in BOTH:
+        found = [certified(each, name) for each in line.keystore.sets]
+        assert len({each.spki for each in found}) == 2
+        assert len({each.subject_der for each in found}) == 1
+    audit(line.keystore)

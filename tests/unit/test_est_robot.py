@@ -13,8 +13,7 @@ import pytest
 from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import Certificate, CertificateRequest, Reason
 from pqsec_pki.credentials import CERTIFICATE, KEY, REVOCATION_LIST
-from pqsec_pki.enrolment import Bundle, changing, one_command, read_receipts
-from pqsec_pki.enrolment.trust import pins_in_use
+from pqsec_pki.enrolment import Bundle, changing, one_command, pins_in_use, read_receipts
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
 from pqsec_pki.errors import KeystoreError, PqsecError, UsageError, VerificationError
 from pqsec_pki.est import (
@@ -432,7 +431,7 @@ def test_new_keys_are_of_the_kinds_before(place, robot, profile):
 
 
 def test_a_token_that_is_not_there_is_told(server, enrolled):
-    [path] = enrolled.glob("sets/*/enclaves/fleet/robot1/key.pem")
+    [path] = enrolled.glob("installed/*/enclaves/fleet/robot1/key.pem")
     path.write_bytes(reference_to("pkcs11:token=t;object=k"))
     server.seen.clear()
     with pytest.raises(PqsecError, match="token"):
@@ -463,7 +462,7 @@ def ending_well(outside, robot, work):
         assert found == asked
     left = {each.name for each in robot.iterdir()}
     assert left == {
-        *("current", "sets", "requests", "trust.json", "installed.receipt", "server.json"),
+        *("current", "installed", "requests", "trust.json", "installed.receipt", "server.json"),
     }
 
 

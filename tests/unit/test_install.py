@@ -30,7 +30,7 @@ from pqsec_pki.enrolment import (
 )
 from pqsec_pki.enrolment._own_folder import locked, make_private
 from pqsec_pki.enrolment.credential_store import CredentialStore, changing
-from pqsec_pki.enrolment.trust import ROLES, pins_of
+from pqsec_pki.enrolment.pins import ROLES, pins_of
 from pqsec_pki.enrolment.verification import keys_of, verify_bundle
 from pqsec_pki.errors import (
     ExistsError,
@@ -140,7 +140,7 @@ def test_the_next_bundle_needs_no_fingerprint_and_the_way_back_stays_open(robot,
     assert snapshot(robot) == before
     rollback(robot, now=LATER, older=True)
     assert installed(robot) == fingerprint(bundles[1])
-    with pytest.raises(KeystoreError, match="has no set from before"):
+    with pytest.raises(KeystoreError, match="has no installation from before"):
         rollback(robot, now=LATER, older=True)
     put(robot, "2")
     assert installed(robot) == fingerprint(bundles[2])
@@ -254,9 +254,9 @@ def test_a_bundle_is_written_again_from_what_was_verified(robot, bundles):
 def test_only_the_set_before_is_kept(robot):
     for which in ("1", "2", "1", "2"):
         put(robot, which, older=True)
-    assert {each.name for each in (robot / "sets").iterdir()} == {"3", "4"}
+    assert {each.name for each in (robot / "installed").iterdir()} == {"3", "4"}
     assert {each.name for each in robot.iterdir()} == {
-        *("current", "sets", "requests", "trust.json", "installed.receipt"),
+        *("current", "installed", "requests", "trust.json", "installed.receipt"),
     }
 
 
@@ -619,7 +619,7 @@ def test_killed_at_any_instant_the_first_bundle_is_there_or_nothing_is(robot, bu
         assert installed(goal) == fingerprint(bundles[1])
         assert {each.name for each in goal.iterdir()} == {
             "current",
-            "sets",
+            "installed",
             "requests",
             "trust.json",
             "installed.receipt",
@@ -641,8 +641,8 @@ def test_killed_at_any_instant_the_old_set_is_there_or_the_new_one(robot, bundle
         assert installed(goal) == new
         rollback(goal, now=LATER, older=True)
         assert installed(goal) == old
-        newest = max(int(each.name) for each in (goal / "sets").iterdir())
-        assert {each.name for each in (goal / "sets").iterdir()} == {"1", str(newest)}
+        newest = max(int(each.name) for each in (goal / "installed").iterdir())
+        assert {each.name for each in (goal / "installed").iterdir()} == {"1", str(newest)}
 
     at_calls(robot, place, lambda goal: put(goal, "2"), look, every=1)
     assert seen == {old, new}
@@ -789,7 +789,8 @@ def test_a_folder_in_the_place_of_the_link_is_refused(robot):
 
 
 @pytest.mark.parametrize(
-    "target", ["/etc", "../..", "elsewhere", "sets", "sets/..", "sets/1/..", "others/1"]
+    "target",
+    ["/etc", "../..", "elsewhere", "installed", "installed/..", "installed/1/..", "others/1"],
 )
 def test_a_link_that_leads_elsewhere_is_refused(robot, target):
     (robot / "current").symlink_to(target)
@@ -803,8 +804,8 @@ def test_a_link_that_leads_elsewhere_is_refused(robot, target):
         ("", "cannot be read"),
         ("[]", "cannot be read"),
         ("[" * 100_000, "cannot be read"),
-        (json.dumps({"format": 2}), "another version"),
-        (json.dumps({"format": 1, "at": "x", "previous": None}), "cannot be read"),
+        (json.dumps({"format": 1}), "another version"),
+        (json.dumps({"format": 2, "at": "x", "previous": None}), "cannot be read"),
     ],
 )
 def test_a_damaged_record_is_told(robot, record, words):
@@ -816,9 +817,9 @@ def test_a_damaged_record_is_told(robot, record, words):
 
 def test_a_way_back_that_leads_elsewhere_is_not_taken(robot):
     put(robot)
-    record = {"format": 1, "at": NOW.isoformat(), "previous": "../../.."}
+    record = {"format": 2, "at": NOW.isoformat(), "previous": "../../..", "sets": []}
     (robot / "current/installed.json").write_text(json.dumps(record))
-    with pytest.raises(KeystoreError, match="is not a name of a set"):
+    with pytest.raises(KeystoreError, match="is not the number of an installation"):
         rollback(robot, now=LATER)
 
 
@@ -831,9 +832,9 @@ def test_nothing_to_go_back_to_is_told(place):
 def test_a_way_back_that_somebody_removed_is_told_as_none(robot):
     put(robot)
     put(robot, "2")
-    shutil.rmtree(robot / "sets/1")
+    shutil.rmtree(robot / "installed/1")
     before = snapshot(robot)
-    with pytest.raises(KeystoreError, match="has no set from before"):
+    with pytest.raises(KeystoreError, match="has no installation from before"):
         rollback(robot, now=LATER, older=True)
     assert snapshot(robot) == before
 
@@ -850,7 +851,7 @@ def test_a_file_that_went_missing_is_put_back_by_the_same_bundle(robot, bundles)
 @pytest.mark.parametrize(
     ("file", "content", "words"),
     [
-        ("governance.p7s", None, r"sets/1: /fleet/robot1 lacks governance\.p7s"),
+        ("governance.p7s", None, r"installed/1: /fleet/robot1 lacks governance\.p7s"),
         ("permissions_ca.cert.pem", b"x", r"permissions_ca\.cert\.pem: no certificate"),
     ],
 )
@@ -947,7 +948,7 @@ def test_files_of_others_in_the_folder_stay(robot):
     put(robot)
     assert {each.name for each in robot.iterdir()} == {
         "current",
-        "sets",
+        "installed",
         "requests",
         "trust.json",
         "installed.receipt",
@@ -970,7 +971,7 @@ def test_each_enclave_of_a_bundle_has_all_the_cas_that_are_trusted(keystore, pla
         Bundle.of(each, [name], now=NOW) for each, name in ((keystore, "/arm"), (other, "/leg"))
     )
     pins = {file: one.roles[file] | two.roles[file] for file in one.roles}
-    mixed = Bundle(NOW, {**one.enclaves, **two.enclaves})
+    mixed = replace(one, enclaves={**one.enclaves, **two.enclaves}, proof=None)
     (place / "1.bundle").write_bytes(mixed.to_bytes())
     with pytest.raises(VerificationError) as caught:
         put(place / "robot", "1", pins, now=NOW)

@@ -131,7 +131,7 @@ def test_two_participants_of_one_name_are_told(tmp_path):
 def test_the_set_before_the_current_one_is_not_another_participant(tmp_path):
     keys = (certificate("CN=/a"), certificate("CN=/a", OTHER_KEY))
     files = {
-        f"{robot}/sets/{number}/enclaves/a/{name}": data
+        f"{robot}/installed/{number}/enclaves/a/{name}": data
         for robot in ("r1", "r2")
         for number, pem in enumerate(keys, 1)
         for name, data in (("cert.pem", pem), ("key.pem", b"no key"))

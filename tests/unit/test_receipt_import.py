@@ -145,9 +145,7 @@ def put_again(robot, now):
     with changing(robot) as store:
         current, trust = store.current, store.trust_state.with_next_receipt()
         store.trust(trust)
-        data = receipt_of(
-            current.enclaves, current.numbers, trust, installed_at=current.at, now=now
-        )
+        data = receipt_of(current.sets, current.numbers, trust, installed_at=current.at, now=now)
         store.save_receipt(data)
 
 
@@ -216,7 +214,7 @@ def test_the_same_statement_signed_again_is_the_same_receipt(keystore, robot):
     receive(keystore, robot)
     before = (robot / "installed.receipt").read_bytes()
     current, trust = CredentialStore(robot).current, CredentialStore(robot).trust_state
-    data = receipt_of(current.enclaves, current.numbers, trust, installed_at=current.at, now=LATER)
+    data = receipt_of(current.sets, current.numbers, trust, installed_at=current.at, now=LATER)
     (robot / "installed.receipt").write_bytes(data)
     assert data != before
     assert receive(keystore, robot)[0].already

@@ -192,7 +192,7 @@ def test_who_cannot_sign_has_no_receipt_and_keeps_nobody_else_from_installing(ro
 
 @pytest.mark.parametrize("bundles", [[], {"/arm": 0}, {"/arm": "1"}, 7])
 def test_a_damaged_record_of_numbers_is_told(robot, bundles):
-    path = robot / "sets/1/installed.json"
+    path = robot / "installed/1/installed.json"
     path.write_text(json.dumps({**json.loads(path.read_text()), "bundles": bundles}))
     with pytest.raises(PqsecError, match=r"installed\.json cannot be read"):
         CredentialStore(robot).current  # noqa: B018 -- reading it is the test
@@ -212,7 +212,7 @@ def enclave(transition):
 
 def members_of(enclave, name=ROBOT, now=LATER):
     trust = TrustState(pins={}, marks=Marks(), store="5" * 32, receipts=9)
-    data = receipt_of({name: enclave}, {name: 7}, trust, installed_at=NOW, now=now)
+    data = receipt_of({"": {name: enclave}}, {name: 7}, trust, installed_at=NOW, now=now)
     return dict(Archive.unpack(data, "receipt").files)
 
 

@@ -41,7 +41,7 @@ class Home(Office):
         """The next receipt of the first robot, made so long after its certificate."""
         self.trust = self.trust.with_next_receipt()
         at = NOW + when
-        return receipt_of({"/r1": self.files}, {}, self.trust, installed_at=NOW, now=at)
+        return receipt_of({"": {"/r1": self.files}}, {}, self.trust, installed_at=NOW, now=at)
 
     def send(self, receipt, *, days=0):
         return self.ask(CallKind.RECEIPT, self.certificate(), receipt, days=days)

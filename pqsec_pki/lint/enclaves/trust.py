@@ -152,9 +152,9 @@ def _problems(enclave: EnclaveFolder) -> Iterator[Problem]:
         if proof or enclave.proof_demanded:
             anchors, files = verified.anchors, verified.files
             verify_logged(enclave.name, anchors, files, proof, demanded=enclave.proof_demanded)
-        if proof and enclave.compare_head:
-            head = proof.checkpoint.head
-            yield from enclave.compare_head(enclave.folder, credentials, head)
+        if enclave.compare:
+            head = proof.checkpoint.head if proof else None
+            yield from enclave.compare(enclave.folder, credentials, head)
     except PqsecError as error:
         named = ENCLAVES in enclave.folder.parts  # elsewhere the folder's name means nothing
         for each in problems_of(error):

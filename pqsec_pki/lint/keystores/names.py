@@ -14,8 +14,9 @@ from pqsec_pki.lint.subjects import Inventory
 from pqsec_pki.stacks import Stack
 
 ERROR, WARNING, _ = Severity
-_SETS = "sets"
-"""The folder of a robot's sets of credentials, `sets/<n>/enclaves/...`."""
+_SETS, _INSTALLED = "sets", "installed"
+"""The folder of the further sets of a keystore or a robot, `sets/<profile>/enclaves/...`, and that
+of a robot's installations, `installed/<n>/`."""
 _CYCLONE = Stack.CYCLONEDDS
 
 
@@ -134,10 +135,11 @@ def same_name(inventory: Inventory) -> Iterator[Violation]:
 
 
 def _without_set(folder: Path) -> Path:
-    """The folder as in the first set of a keystore, or on a robot without the number of the set: a
-    robot keeps the one before the current one."""
+    """The folder as in the first set, and on a robot without the number of the installation: it
+    keeps the one before the current one."""
     parts = folder.parts
-    if _SETS not in parts:
-        return folder
-    place = len(parts) - parts[::-1].index(_SETS)
-    return Path(*parts[: place - 1], *parts[place + 1 :])
+    for kind in (_SETS, _INSTALLED):
+        if kind in parts:
+            place = len(parts) - parts[::-1].index(kind)
+            parts = (*parts[: place - 1], *parts[place + 1 :])
+    return Path(*parts)
