@@ -201,6 +201,13 @@ class PublicKey:
         """The bytes inside the BIT STRING of `spki`."""
         return self.algorithm.raw_public(self.handle)
 
+    @property
+    def parts(self) -> "tuple[PublicKey, ...]":
+        """The keys that a composite key consists of; none for a plain one."""
+        rows = self.algorithm.parts
+        handles = self.handle if rows else ()
+        return tuple(row.public_key(each) for row, each in zip(rows, handles, strict=True))
+
     def verify(self, signature: bytes, data: bytes, identifier: bytes | None = None) -> None:
         """Return if `signature` over `data` is this key's; VerificationError if not.
 

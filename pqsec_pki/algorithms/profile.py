@@ -81,6 +81,12 @@ class Profile:
         return min(row.level for row in self.signature_keys)
 
     @property
+    def participant_level(self) -> int:
+        """The category of the strongest key of a participant's certificate."""
+        second = self.alternative_key
+        return max(self.participant_key.level, second.level if second else 0)
+
+    @property
     def signature_keys(self) -> tuple[SignatureAlgorithm, ...]:
         """The algorithms of the CAs' and participants' main keys."""
         return (self.identity_key, self.permissions_key, self.participant_key)

@@ -9,6 +9,7 @@ from pqsec_pki._lazy import lazy_exports
 
 if TYPE_CHECKING:
     from pqsec_pki.certificates._alternative import alternative_attributes
+    from pqsec_pki.certificates._beside import FURTHER_REQUESTS
     from pqsec_pki.certificates._names import name_text
     from pqsec_pki.certificates._rdns import canonical_name, read_name, same_name
     from pqsec_pki.certificates._sequence import SEQUENCE_NUMBER, read_sequence_number
@@ -35,6 +36,7 @@ else:
 
 __all__ = [
     "BACKDATE",
+    "FURTHER_REQUESTS",
     "LAST_YEAR",
     "MAX_COMMON_NAME",
     "SEQUENCE_NUMBER",

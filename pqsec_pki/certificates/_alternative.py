@@ -136,11 +136,12 @@ def add_request_proof(info: CertificationRequestInfo, alternative: PrivateKey) -
         attribute(ALT_SIGNATURE_ALGORITHM, alternative.algorithm.identifier),
     ]
     # A SET OF: DER sorts it
-    info.attributes = sorted(asked, key=encode)
+    others = info.attributes
+    info.attributes = sorted([*others, *asked], key=encode)
     proof = attribute(
         ALT_SIGNATURE_VALUE, encode(bits(alternative.sign(_covered_by_request(info))))
     )
-    info.attributes = sorted([*asked, proof], key=encode)
+    info.attributes = sorted([*others, *asked, proof], key=encode)
 
 
 def alternative_attributes(algorithm: SignatureAlgorithm) -> list[bytes]:

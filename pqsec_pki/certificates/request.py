@@ -1,11 +1,12 @@
 """Certificate requests (PKCS#10, RFC 2986): parse them, and verify the proof of possession.
 
 A request is signed with the private key of the requested certificate: proof of possession.
-With an alternative key it has a second proof (see _alternative).
+With an alternative key it has a second proof (see _alternative). One for several sets of
+credentials carries the requests of the further ones (see _beside).
 """
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import field
 from typing import Self
 
@@ -23,6 +24,7 @@ from pqsec_pki._asn1 import (
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import MAX_FILE
 from pqsec_pki.algorithms import PublicKey, first_pem, load_public_key, pem, unpem
+from pqsec_pki.certificates import _beside
 from pqsec_pki.certificates._alternative import Alternative
 from pqsec_pki.certificates._names import lone_common_name, name_text
 from pqsec_pki.errors import (
@@ -56,16 +58,27 @@ class CertificateRequest:
     """DER AlgorithmIdentifier of the signature."""
     signature: bytes = field(repr=False)
     alternative: Alternative | None = field(repr=False)
+    first_key: bytes | None = field(repr=False)
+    """For a request that another one carries: the hash of the key of that one."""
+    further: "tuple[CertificateRequest, ...]" = field(repr=False)
+    """The requests that it carries, for the further sets of credentials."""
 
     @classmethod
     def from_der(cls, der: bytes) -> Self:
-        """MalformedError if `der` is not exactly one well-formed request."""
+        """MalformedError if `der` is not exactly one well-formed request, with what it carries."""
+        return cls._from_der(der, carried=False)
+
+    @classmethod
+    def _from_der(cls, der: bytes, *, carried: bool) -> Self:
         if len(der) > MAX_REQUEST:
             raise MalformedError(f"a certificate request larger than {MAX_REQUEST} bytes")
         signed = decode(Signed, der, "certificate request")
         info_der = encode(signed.tbs)
         info = decode(CertificationRequestInfo, info_der, "certificate request")
         subject, extensions = _library_view(der)
+        further = _beside.further_in(info)
+        if further and carried:  # and no request is read in depth
+            raise MalformedError("a request that another one carries carries further ones")
         return cls(
             der=der,
             info=info_der,
@@ -76,6 +89,8 @@ class CertificateRequest:
             identifier=encode(signed.signature_algorithm),
             signature=whole_bytes(signed.signature, "the request's signature"),
             alternative=Alternative.of_request(info),
+            first_key=_beside.first_key_in(info),
+            further=tuple(cls._from_der(each, carried=True) for each in further),
         )
 
     @classmethod
@@ -104,6 +119,11 @@ class CertificateRequest:
         data = b"".join(each.pem for each in requests)
         TooLargeError.check("the file", len(data), MAX_FILE, hint=hint)
         return data
+
+    @property
+    def sets(self) -> "tuple[CertificateRequest, ...]":
+        """The request for each set of credentials, that of the first one first."""
+        return (self, *self.further)
 
     @property
     def pem(self) -> bytes:
@@ -158,19 +178,33 @@ class CertificateRequest:
     def verify(self) -> None:
         """Return if the request proves possession of its key, and of its alternative key if any.
 
+        And so each one that it carries, which must be made for it, with the same subject.
         VerificationError lists everything that is wrong.
         """
-        problems = []
+        problems = [*self._problems()]
+        if self.first_key is not None:
+            problems.append("it belongs beside the request for another key, and came alone")
+        for number, each in enumerate(self.further, 2):
+            found = [*each._problems(), *self._problems_beside(each)]  # noqa: SLF001 -- its own
+            problems += [f"request {number} of it: {problem}" for problem in found]
+        if problems:
+            raise VerificationError(*problems)
+
+    def _problems_beside(self, other: "CertificateRequest") -> Iterator[str]:
+        if other.subject_der != self.subject_der:
+            yield f"its subject is {other.subject_name or 'empty'}, not {self.subject_name}"
+        if other.first_key != _beside.hash_of(self.spki):
+            yield "it was not made beside the first one: it names another key, or none"
+
+    def _problems(self) -> Iterator[str]:
         try:
             self.public_key.verify(self.signature, self.info, self.identifier)
         except PqsecError as error:
-            problems.append(f"no proof that the requester has the private key: {error}")
+            yield f"no proof that the requester has the private key: {error}"
         try:
             self._verify_alternative()
         except PqsecError as error:
-            problems.append(f"no proof that the requester has the alternative private key: {error}")
-        if problems:
-            raise VerificationError(*problems)
+            yield f"no proof that the requester has the alternative private key: {error}"
 
     def _verify_alternative(self) -> None:
         if self.alternative is None:

@@ -110,7 +110,7 @@ def participants_own(profile: "Profile", uris: Uris) -> Iterator[dict[str, "Priv
     from pqsec_pki.enrolment import key_places  # noqa: PLC0415 -- not for --help
     from pqsec_pki.tokens import participant_keys  # noqa: PLC0415 -- not for --help
 
-    with participant_keys(key_places(profile, uris), _passphrases.pin) as made:
+    with participant_keys(key_places([profile], uris), _passphrases.pin) as made:
         yield {**made.keys}
     note_participant(profile, uris, made.generated)
 

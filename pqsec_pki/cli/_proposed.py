@@ -25,7 +25,13 @@ from pqsec_pki.domain import KINDS, CommandReview, Desired, read_domain, rights_
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import GROUP, Keystore, key_hashes
-from pqsec_pki.lifecycle import ParticipantSpec, changed_protection, plan_rollover, revocable
+from pqsec_pki.lifecycle import (
+    ParticipantSpec,
+    addable,
+    changed_protection,
+    plan_rollover,
+    revocable,
+)
 
 _ANY = "/NAME"
 _AT_APPLY = ("passphrase_file", "no_passphrase")
@@ -141,6 +147,8 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             steps = plan_rollover(keystore, terms_of(keystore, params), now=now).steps
             root = f"{keystore.root}/"
             yield ChangedRights((), tuple(step.replace(root, "") for step in steps))
+        case "ca add-set":
+            yield from _added(params["profile_name"], keystore, now)
         case "issue":
             yield from _certified(each for _, each in load_requests(params["requests"]))
             domains = params["domains"]
@@ -156,6 +164,16 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             yield from _requested_rights(asked, now)
         case _:
             yield from _of_file(name, params, keystore)
+
+
+def _added(profile: str, keystore: Keystore, now: datetime) -> Iterator[ChangedRights]:
+    """Who gets a certificate of the new set, and who does not."""
+    found = addable(keystore, now=now)
+    yield ChangedRights((), (f"new CAs of a set of profile {profile}",))
+    if found.issued:
+        yield ChangedRights(found.issued, (f"a certificate of set {profile}, valid as the first",))
+    for name, why in found.left.items():
+        yield _change(name, f"no certificate of set {profile}: {why}")
 
 
 def _of_file(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterator[ChangedRights]:
@@ -230,11 +248,12 @@ def _requested_rights(asked: SignRequest, now: datetime) -> Iterator[ChangedRigh
 
 def _certified(requests: Iterable[CertificateRequest]) -> Iterator[ChangedRights]:
     for each in requests:
-        hashes = key_hashes(each.public_key, each.alternative_key)
-        yield _change(
-            name_asked_for(each) or shown(each.subject_name),
-            f"a certificate for the key with SHA-256 {hashes}",
-        )
+        for one in each.sets:
+            hashes = key_hashes(one.public_key, one.alternative_key)
+            yield _change(
+                name_asked_for(each) or shown(each.subject_name),
+                f"a certificate for the key with SHA-256 {hashes}",
+            )
 
 
 def _change(name: str, words: str) -> ChangedRights:

@@ -1,7 +1,7 @@
 """pqsec apply: change the keystore to match a domain file."""
 
 from contextlib import suppress
-from dataclasses import replace
+from dataclasses import field, replace
 from pathlib import Path
 
 import click
@@ -232,9 +232,16 @@ def _made(
         )
         return changed, [*found.steps]
     cas = (found.only,) if found.only else ()
-    keystore, authorities = passphrases.opened(desired, keystore, *cas)
-    bundles = _BundleWriter(desired, keystore, found, folder)
-    return keystore, _apply_steps(desired, keystore, authorities, found, bundles)
+    unlocked = passphrases.opened(desired, keystore, *cas)
+    bundles = _BundleWriter(desired, unlocked.keystore, found, folder)
+    done = _apply_steps(desired, unlocked, found, bundles)
+    return _as_it_is(unlocked.keystore), done
+
+
+def _as_it_is(keystore: Keystore) -> Keystore:
+    """The keystore with all sets of credentials, also those that were added since."""
+    now = Keystore.open(keystore.root, to_change=keystore.to_change)
+    return replace(keystore, profiles=now.profiles)
 
 
 def _ask(found: Plan, desired: Desired) -> None:
@@ -244,6 +251,15 @@ def _ask(found: Plan, desired: Desired) -> None:
         what=f"there are {len(found.steps)} changes to make",
         hint="`pqsec plan` shows them; --yes makes them",
     )
+
+
+@dataclass(frozen=True, slots=True)
+class _Unlocked:
+    """A keystore, and its CAs with the passphrase that their keys have."""
+
+    keystore: Keystore
+    authorities: Authorities
+    passphrase: bytes | None = field(repr=False)
 
 
 @dataclass(frozen=True, slots=True)
@@ -257,17 +273,17 @@ class _CaPassphrases:
         """The passphrase for new CAs; None if their keys stay unencrypted."""
         return _passphrases.new(self.file, none=self.none)
 
-    def opened(
-        self, desired: Desired, keystore: Keystore | None, *cas: SigningCa
-    ) -> tuple[Keystore, Authorities]:
+    def opened(self, desired: Desired, keystore: Keystore | None, *cas: SigningCa) -> _Unlocked:
         """The keystore, created if it does not exist, and its CAs, or those of `cas`."""
         if keystore:
-            return keystore, _passphrases.unlock(keystore, self.file, *cas)
+            passphrase = _passphrases.of_cas(keystore, self.file, *cas)
+            cas_of_it = _passphrases.unlocked(keystore, passphrase, *cas)
+            return _Unlocked(keystore, cas_of_it, passphrase)
         path, passphrase = _settings.keystore_path(), self.new()
         keystore = create_keystore(desired, path, passphrase=passphrase, now=_settings.now())
         if self.none:
             _passphrases.note_unencrypted(path)
-        return keystore, keystore.unlock(passphrase)
+        return _Unlocked(keystore, keystore.unlock(passphrase), passphrase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,10 +302,11 @@ class _BundleWriter:
         left = {each.name for each in self.found.blocked}
         left |= {each.name for each in self.found.ended}
         wanted = self.desired.members.keys() - left
-        has, has_key = self.keystore.has, self.keystore.has_key
+        keystore = _as_it_is(self.keystore)
+        has, has_key = keystore.has, keystore.has_key
         elsewhere = sorted(name for name in wanted if has(name) and not has_key(name))
         try:
-            return list(refresh(self.keystore, elsewhere, self.folder, now=_settings.now()))
+            return list(refresh(keystore, elsewhere, self.folder, now=_settings.now()))
         except PqsecError:
             if done:
                 _printing.note(f"all {done} changes are made; run apply again to write the bundles")
@@ -298,14 +315,20 @@ class _BundleWriter:
 
 def _apply_steps(
     desired: Desired,
-    keystore: Keystore,
-    authorities: Authorities,
+    unlocked: _Unlocked,
     found: Plan,
     bundles: _BundleWriter,
 ) -> list[Step]:
     """Make the changes. Returns the steps that were made."""
     done, every = list[Step](), len(found.steps)
-    batches = apply_plan(desired, keystore, authorities, found, now=_settings.now())
+    batches = apply_plan(
+        desired,
+        unlocked.keystore,
+        unlocked.authorities,
+        found,
+        passphrase=unlocked.passphrase,
+        now=_settings.now(),
+    )
     try:
         with stage(every, "changes") as here:
             for batch in batches:
@@ -338,7 +361,7 @@ def _report(
     with keystore.hold():  # so that the ledger is read once
         note_superseded(keystore, [each.name for each in done if each.action in replacing], now)
         delivery = list_delivery(keystore, now=now) if on_list else None
-    changed = {step.name for step in done if step.name and step.action is not StepAction.REVOKE}
+    changed = {step.participant for step in done if step.action is not StepAction.REVOKE} - {""}
     waiting = [name for name in sorted(changed) if not keystore.has_key(name)]
     if waiting and not written:
         fix = "write their bundles with --bundles DIR or `pqsec bundle`"

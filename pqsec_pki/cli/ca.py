@@ -1,6 +1,6 @@
 """pqsec ca: create and show the two CAs, and the identity CA's revocation list."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import timedelta
 from pathlib import Path
 
@@ -51,7 +51,7 @@ profile_option = click.option(
 )
 
 
-class _Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
+class Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clicks only
     """Profiles with commas between them: one for each set of credentials."""
 
     name = "profiles"
@@ -92,7 +92,7 @@ class _Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clic
 @click.option(
     "--profile",
     "profile_names",
-    type=_Profiles(),
+    type=Profiles(),
     default=DEFAULT_PROFILE.name,
     show_default=True,
     help="Choose the algorithms; `pqsec profiles` explains them. Profiles with commas between"
@@ -180,7 +180,7 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
         "alternative_key": alt_key,
         "key_agreement": kem,
     }
-    profiles = _profiles(profile_names, choices)
+    profiles = profiles_of(profile_names, choices)
     domain_set = DomainSet.parse(domains)
     path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
@@ -204,11 +204,11 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     _show(keystore)
 
 
-def _profiles(names: Sequence[str], choices: dict[str, str | None]) -> list[Profile]:
+def profiles_of(names: Sequence[str], choices: Mapping[str, str | None]) -> list[Profile]:
     """The profile of each set; UsageError for other algorithms that could be for several sets."""
     if len(names) > 1 and any(choices.values()):
         raise UsageError("options for single algorithms are for a keystore with one profile")
-    return [profile_named(each).changed(choices) for each in names]
+    return [profile_named(each).changed({**choices}) for each in names]
 
 
 @ca.command(

@@ -8,8 +8,9 @@ import click
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._libraries import needs_libraries
-from pqsec_pki.algorithms import PROFILES, profile_named
+from pqsec_pki.algorithms import profile_named
 from pqsec_pki.cli import _help, _key_uris, _network, _passphrases, _settings
+from pqsec_pki.cli.ca import Profiles
 from pqsec_pki.cli.request import folder_option
 from pqsec_pki.enrolment import Pins, pins_of
 from pqsec_pki.errors import PqsecError, UsageError, located
@@ -26,7 +27,7 @@ class _Asked:
     token: EnrolmentToken | None
     server: str
     names: tuple[str, ...]
-    profile: str | None
+    profiles: tuple[str, ...]
     pins: Pins | None
 
 
@@ -81,9 +82,10 @@ class _Asked:
 )
 @click.option(
     "--profile",
-    "profile_name",
-    type=click.Choice([profile.name for profile in PROFILES], case_sensitive=False),
-    help="Make keys of this profile.  [default: that of the token, or of the installed keys]",
+    "profile_names",
+    type=Profiles(),
+    help="Make keys of this profile, or of several with commas between them.  [default: as the"
+    " token says, or as the installed keys]",
 )
 @_key_uris.participant_options
 @folder_option
@@ -110,7 +112,7 @@ def enrol(  # noqa: PLR0913 -- one for each option, by name
     server_pins: tuple[str, ...],
     server_ca: Path | None,
     fingerprints: tuple[str, ...],
-    profile_name: str | None,
+    profile_names: tuple[str, ...] | None,
     folder: Path,
     wait: timedelta,
     trust_first: bool,
@@ -126,14 +128,16 @@ def enrol(  # noqa: PLR0913 -- one for each option, by name
     The command may be stopped at any time: run it again, and it sends the same request, to which
     the server gives the same answer.
     """
-    asked = _asked(url, names, token_file, profile_name, pins_of(fingerprints) or None)
+    asked = _asked(url, names, token_file, profile_names or (), pins_of(fingerprints) or None)
     with needs_libraries(_network.NEEDS):
         from pqsec_pki import est  # noqa: PLC0415 -- a library of an extra
 
         trust = _network.server_trust(server_pins, server_ca) or _token_trust(asked.token)
         client = _client(asked, trust, (factory_cert, factory_key), classical=classical)
+        profiles = tuple(map(profile_named, asked.profiles))
         terms = est.KeyTerms(
-            profile=profile_named(asked.profile) if asked.profile else None,
+            profile=profiles[0] if profiles else None,
+            further=profiles[1:],
             pins=asked.pins,
             trust_first=trust_first,
             uris=_key_uris.given_for_participant(),
@@ -158,7 +162,7 @@ def _asked(
     url: str | None,
     names: tuple[str, ...],
     file: Path | None,
-    profile: str | None,
+    profiles: tuple[str, ...],
     pins: Pins | None,
 ) -> _Asked:
     token = _token(file) if file else None
@@ -176,7 +180,7 @@ def _asked(
         token=token,
         server=server,
         names=tuple(dict.fromkeys(names)),
-        profile=profile or (token.profile if token else None),
+        profiles=profiles or (tuple(token.profile.split(",")) if token else ()),
         pins=pins or (token.cas if token else None),
     )
 

@@ -130,7 +130,7 @@ def create(  # noqa: PLR0913 -- one for each option, by name
         server_pins=_server_pins(settings),
         cas=pins_in_use(keystore),
         names=name,
-        profile=keystore.profile.name,
+        profile=",".join(each.name for each in keystore.profiles),
         not_after=now + (validity or settings.token_validity),
     )
     # The ledger first: a token that is only in the file would not be valid.

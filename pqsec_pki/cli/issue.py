@@ -159,7 +159,7 @@ def _requested(
 ) -> dict[str, PublicKeys]:
     """The keys that are to be certified, by name."""
     found = [request for _, request in _bundles.load_requests(requests)]
-    return enrolment.validate_csrs(found, keystore.profile, names=names, patterns=patterns)
+    return enrolment.validate_csrs(found, keystore.profiles, names=names, patterns=patterns)
 
 
 def _made(

@@ -7,14 +7,18 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.algorithms import profile_named
-from pqsec_pki.cli import _help, _migration_options, _printing, _settings
+from pqsec_pki.algorithms import Profile, profile_named
+from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
+from pqsec_pki.cli.ca import Profiles
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.migration import (
     MigrationPlan,
     Rehearsal,
     StepFile,
+    plan_addition,
     plan_migration,
     rehearse,
+    rehearse_addition,
     step_files,
 )
 
@@ -30,6 +34,9 @@ def migrate() -> None:
         "Show the steps to profile pq for robots with Cyclone DDS": (
             "pqsec migrate plan --stack cyclonedds"
         ),
+        "Show how hybrid credentials are added beside classical ones": (
+            "pqsec migrate plan --to classical,hybrid"
+        ),
         "Rehearse the steps to CNSA 2.0 on a copy": "pqsec migrate plan --to cnsa2 --rehearse",
         "Write a domain file for each step, for `pqsec apply`": (
             "pqsec migrate plan domain.yaml --steps ."
@@ -42,8 +49,14 @@ def migrate() -> None:
     },
 )
 @click.argument("file", type=_settings.FILE, required=False, metavar="[FILE]")
-@_migration_options.target(
-    "--to", default="pq", show_default=True, help="Plan the change to this profile."
+@click.option(
+    "--to",
+    "target",
+    type=Profiles(),
+    default="pq",
+    show_default=True,
+    metavar="PROFILE[,PROFILE]...",
+    help="Plan the change to this profile; or, with those of the keystore before it, its addition.",
 )
 @_migration_options.stacks
 @click.option(
@@ -60,12 +73,14 @@ def migrate() -> None:
     help="Write to DIR a domain file for each step, with which `pqsec apply` makes it.",
 )
 @click.option("--force", is_flag=True, help="Replace existing files in DIR.")
+@_passphrases.option
 @_settings.command_options
 def plan(  # noqa: PLR0913 -- one for each option, by name
     file: Path | None,
-    target: str,
+    target: tuple[str, ...],
     stacks: tuple[str, ...],
     folder: Path | None,
+    passphrase_file: Path | None,
     *,
     rehearsing: bool,
     force: bool,
@@ -75,13 +90,17 @@ def plan(  # noqa: PLR0913 -- one for each option, by name
     For each step: what robots with each stack need, whether robots can change one by one, and
     what breaks without the step. This is found by handshakes between sample participants,
     in the same code as `pqsec verify-handshake`. The keystore is not changed. FILE is a
-    domain.yaml with `stacks`, those of the robots.
+    domain.yaml with `stacks`, those of the robots. The passphrase is for a rehearsal that adds
+    profiles: the CAs of the copy sign what is added.
     """
     keystore, now = _settings.open_keystore(), _settings.now()
-    profile = profile_named(target)
+    profiles = [profile_named(each) for each in target]
     rows = _migration_options.chosen(stacks, file)
-    found = plan_migration(keystore, profile, rows, now=now)
-    rehearsal = rehearse(keystore, profile, now=now) if rehearsing else None
+    if len(profiles) > 1:
+        found = plan_addition(keystore, profiles, rows, now=now)
+    else:
+        found = plan_migration(keystore, profiles[0], rows, now=now)
+    rehearsal = _rehearsed(keystore, profiles, passphrase_file, now) if rehearsing else None
     files = step_files(found, keystore, file, folder, now=now) if folder else ()
     paths = _write_steps(files, folder, force=force) if folder else []
     value = found.to_json()
@@ -100,6 +119,15 @@ def plan(  # noqa: PLR0913 -- one for each option, by name
     _printing.emit(value, lines)
     if rehearsal is not None and not rehearsal.ok:
         click.get_current_context().exit(1)
+
+
+def _rehearsed(
+    keystore: Keystore, profiles: Sequence[Profile], passphrase_file: Path | None, now: datetime
+) -> Rehearsal:
+    if len(profiles) == 1:
+        return rehearse(keystore, profiles[0], now=now)
+    passphrase = _passphrases.of_cas(keystore, passphrase_file)
+    return rehearse_addition(keystore, profiles, passphrase=passphrase, now=now)
 
 
 def _write_steps(files: Sequence[StepFile], folder: Path, *, force: bool) -> list[Path]:
@@ -135,7 +163,9 @@ def _rehearsal_lines(rehearsal: Rehearsal) -> Iterator[str]:
     yield f"Rehearsal on a copy, with {part} participants:"
     for step in rehearsal.steps:
         done = _printing.counted(step.succeeded, "pair")
-        yield f"  {step.profile}: {step.reissued} reissued, {done} authenticated each other"
+        what = "added for" if "," in step.profile else "reissued"
+        issued = f"{what} {step.reissued}" if "," in step.profile else f"{step.reissued} {what}"
+        yield f"  {step.profile}: {issued}, {done} authenticated each other"
         yield from (f"    not: {each}" for each in step.failures)
         yield from (f"    not reissued: {name}: {why}" for name, why in step.left_out.items())
         if step.old_with_new_refused:

@@ -5,10 +5,10 @@ from pathlib import Path
 import click
 
 from pqsec_pki import _files
-from pqsec_pki.algorithms import profile_named
+from pqsec_pki.algorithms import DEFAULT_PROFILE
 from pqsec_pki.certificates import CertificateRequest
 from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing, _settings
-from pqsec_pki.cli.ca import profile_option
+from pqsec_pki.cli.ca import Profiles, profiles_of
 from pqsec_pki.enrolment import make_sealing_key
 from pqsec_pki.enrolment import requests as make_requests
 
@@ -41,7 +41,15 @@ folder_option = click.option(
     },
 )
 @click.argument("names", nargs=-1, required=True, metavar="NAME...")
-@profile_option
+@click.option(
+    "--profile",
+    "profile_names",
+    type=Profiles(),
+    default=DEFAULT_PROFILE.name,
+    show_default=True,
+    help="Make keys of this profile; of several, with commas between them, if the keystore has a"
+    " set of credentials for each.",
+)
 @click.option(
     "--participant-key",
     metavar="NAME",
@@ -63,7 +71,7 @@ folder_option = click.option(
 @_settings.command_options
 def request(  # noqa: PLR0913 -- one for each option, by name
     names: tuple[str, ...],
-    profile_name: str,
+    profile_names: tuple[str, ...],
     participant_key: str | None,
     alt_key: str | None,
     folder: Path,
@@ -76,19 +84,21 @@ def request(  # noqa: PLR0913 -- one for each option, by name
     The keys stay in DIR, or in the places of the --...-uri options: a key that is there is used,
     another one is generated there. Copy each request.csr that is printed, or the FILE with all of
     them, to the machine with the CAs, for `pqsec issue --csr` or `pqsec sign-request export`. The
-    profile must be the same as the keystore's. A pattern such as '/tb3/*' matches the participants
+    profiles must be the keystore's. A set of credentials that is installed here keeps its keys if
+    another one is not. A pattern such as '/tb3/*' matches the participants
     that were requested or installed in DIR before: with --force they get new keys.
     """
     if csr and not force:
         _files.refuse_existing(csr)
-    profile = profile_named(profile_name).changed(
-        {"participant_key": participant_key, "alternative_key": alt_key}
+    profile, *further = profiles_of(
+        profile_names, {"participant_key": participant_key, "alternative_key": alt_key}
     )
     uris = _key_uris.given_for_participant()
     made = make_requests(
         names,
         profile,
         folder,
+        further=further,
         uris=uris,
         pin=_passphrases.pin,
         together=csr is not None,

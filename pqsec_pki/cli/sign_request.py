@@ -98,7 +98,7 @@ def sign_(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     }
     with located(file):
         _refuse_other(asked, sha256, ra_only=ra_only, allowed=any(allowed.values()))
-        asked.admitted(keystore.profile, patterns)
+        asked.admitted(keystore.profiles, patterns)
         by = _order_of(asked, keystore, anchor)
     if show:
         _show(asked, by)

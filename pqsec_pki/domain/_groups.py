@@ -54,11 +54,15 @@ def members_of_groups(
 
 
 def _members(given: tuple[Given, ...], participants: Collection[str]) -> tuple[str, ...]:
-    found = all_of(partial(_named, pattern, line, participants) for pattern, line in given)
+    found = all_of(partial(named, pattern, line, participants) for pattern, line in given)
     return tuple(sorted({name for names in found for name in names}))
 
 
-def _named(pattern: str, line: int, participants: Collection[str]) -> list[str]:
+def named(pattern: str, line: int, participants: Collection[str]) -> list[str]:
+    """The participants of the file that a name or pattern stands for, in its order.
+
+    InvalidDocumentError for a name that none of them has, and a pattern that matches none.
+    """
     found: list[str] = []
     for each in without_braces(pattern, line):
         if "*" in each:

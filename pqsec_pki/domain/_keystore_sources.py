@@ -27,14 +27,14 @@ _CA_NAME = " Identity CA"
 def keystore_source(keystore: Keystore, now: datetime) -> ImportSource:
     anchors = keystore.issuing_cas
     source = _with_shared(keystore, anchors)
-    source.groups = keystore.groups
+    source.groups, source.stock = keystore.groups, keystore.stock
     source.approvals = keystore.approvals
     ca = keystore.identity_ca
     source.ca_validity = lifetime(ca.not_before, ca.not_after)
     states = {
         each.name: each for each in status(keystore, now=now, compare_files=True).participants
     }
-    overlap = Overlap.of(keystore) is not None
+    overlap = any(map(Overlap.of, keystore.sets))
     for name in sorted({*states, *keystore.names()}):
         held = states.get(name)
         if held is None:
@@ -53,7 +53,7 @@ def other_keystore_source(root: Path, now: datetime) -> ImportSource:
     anchors = found.keystore.issuing_cas
     source = _with_shared(found.keystore, anchors)
     if not found.fitting:
-        source.profile = ""
+        source.profiles = ()
     for name in found.keystore.names():
         if name in found.revoked:
             source.leave_out(name, "was revoked")
@@ -75,7 +75,7 @@ def _with_shared(keystore: Keystore, anchors: TrustAnchors) -> ImportSource:
         keystore.root,
         governance=governance,
         ca_name=ca.removesuffix(_CA_NAME) if ca.endswith(_CA_NAME) else "",
-        profile=keystore.profile.name,
+        profiles=tuple(each.name for each in keystore.profiles),
     )
 
 

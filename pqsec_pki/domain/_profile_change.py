@@ -21,8 +21,8 @@ from pqsec_pki.lifecycle import (
 
 def is_wanted(desired: Desired, keystore: Keystore) -> bool:
     """Whether the file has another profile, and says to change from the keystore's profile."""
-    names = desired.profile, desired.migrate_from
-    return None not in names and desired.migrate_from == keystore.profile.name
+    there = tuple(each.name for each in keystore.profiles)
+    return bool(desired.profiles) and there == (desired.migrate_from,)
 
 
 def plan_profile_change(desired: Desired, keystore: Keystore, *, now: datetime) -> Plan:
@@ -30,7 +30,7 @@ def plan_profile_change(desired: Desired, keystore: Keystore, *, now: datetime) 
     rollover = _rollover(desired, keystore, now)
     count = len(rollover.keeping) + len(rollover.rekeyed)
     why = (
-        f"from {desired.migrate_from} to {desired.profile}: new CAs, and new certificates for"
+        f"from {desired.migrate_from} to {desired.profiles[0]}: new CAs, and new certificates for"
         f" {count} participants"
     )
     lost = protection_lost(rollover.before, rollover.terms.profile)
@@ -72,6 +72,6 @@ def change_profile(  # noqa: PLR0913 -- by name
 
 
 def _rollover(desired: Desired, keystore: Keystore, now: datetime) -> RolloverPlan:
-    profile = profile_named(desired.profile or "")
+    profile = profile_named(desired.profiles[0])
     terms = Rollover(profile=profile, validity=desired.ca_validity)
     return plan_rollover(keystore, terms, now=now)

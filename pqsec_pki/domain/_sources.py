@@ -36,9 +36,11 @@ class ImportSource:
     governance: Governance | None = None
     ca_name: str = ""
     """Without ` Identity CA`; empty if the CAs are named otherwise."""
-    profile: str = ""
+    profiles: tuple[str, ...] = ()
+    """Those of a keystore's sets of credentials; empty if it has other algorithms."""
     ca_validity: timedelta | None = None
     groups: Mapping[str, Sequence[str]] = field(default_factory=dict)
+    stock: Sequence[str] = ()
     approvals: ApprovalPolicy | None = None
 
     def add(

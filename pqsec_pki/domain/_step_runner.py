@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from datetime import datetime
 
+from pqsec_pki.algorithms import profile_named
 from pqsec_pki.certificates import Reason
 from pqsec_pki.domain._orders import order_at, steps_of
 from pqsec_pki.domain.desired import Desired
@@ -21,6 +22,7 @@ from pqsec_pki.errors import (
 from pqsec_pki.keystore import Authorities, Keystore
 from pqsec_pki.lifecycle import (
     Renewal,
+    add_set,
     issue,
     renew,
     renew_list,
@@ -29,6 +31,7 @@ from pqsec_pki.lifecycle import (
     sign_permissions,
     store_approvals,
     store_groups,
+    store_stock,
 )
 
 MAX_FAILURES = 10
@@ -41,25 +44,29 @@ _OWN_FAULTS = (InvalidDocumentError, KeystoreError, MalformedError, UsageError, 
 class StepRunner:
     """Executes batches of steps with the same action."""
 
-    def __init__(
+    def __init__(  # noqa: PLR0913, PLR0917 -- what a change needs
         self,
         desired: Desired,
         keystore: Keystore,
         authorities: Authorities,
         plan: Plan,
         now: datetime,
+        passphrase: bytes | None,
     ) -> None:
         self._desired = desired
         self._keystore = keystore
         self._authorities = authorities
         self._now = now
+        self._passphrase = passphrase
         self._wanted = {(step.action, step.name) for step in plan.steps}
         self._whole = plan.only is None
         self._head = plan.head or keystore.head
         self._failures: list[PqsecError] = []
 
     def alike(self, action: StepAction, steps: Iterable[Step]) -> Iterable[list[Step]]:
-        """Group the steps for one change each: renewals with one validity, or one order."""
+        """Group the steps for one change each: renewals with one validity, one order, one set."""
+        if action is StepAction.ADD_SET:
+            return [[step] for step in steps]
         if action not in {StepAction.RENEW, StepAction.ENROL}:
             return [list(steps)]
         found: dict[object, list[Step]] = {}
@@ -74,7 +81,7 @@ class StepRunner:
         steps, error = self._try(action, steps)
         if error is None:
             yield steps
-        elif not steps[0].name or len(self._failures) == MAX_FAILURES:
+        elif not steps[0].participant or len(self._failures) == MAX_FAILURES:
             raise error
         elif len(steps) == 1 or action is StepAction.ENROL:
             self._failures.append(error)
@@ -132,13 +139,8 @@ class StepRunner:
         match action:
             case StepAction.CREATE_CAS | StepAction.CHANGE_PROFILE:
                 pass  # done before, because the CAs come from there
-            case StepAction.SIGN_GOVERNANCE:
-                config_digest = self._desired.governance_digest
-                sign_governance(
-                    *at, self._desired.governance, now=self._now, config_digest=config_digest
-                )
-            case StepAction.STORE_GROUPS:
-                store_groups(self._keystore, self._desired.groups)
+            case StepAction.ADD_SET:
+                self._add_set(names[0])
             case StepAction.ENROL | StepAction.ISSUE | StepAction.REPLACE:
                 self._issue(action, steps)
             case StepAction.SIGN_PERMISSIONS:
@@ -147,17 +149,43 @@ class StepRunner:
                 self._renew(names)
             case StepAction.REVOKE:
                 revoke(*at, names, reason=Reason.CESSATION_OF_OPERATION, now=self._now)
+            case _:
+                self._take_shared(action)
+
+    def _take_shared(self, action: StepAction) -> None:
+        """Execute a step that is for no participant and no set."""
+        at, desired = (self._keystore, self._authorities), self._desired
+        match action:
+            case StepAction.SIGN_GOVERNANCE:
+                digest = desired.governance_digest
+                sign_governance(*at, desired.governance, now=self._now, config_digest=digest)
+            case StepAction.STORE_GROUPS:
+                store_groups(self._keystore, desired.groups)
+            case StepAction.STORE_STOCK:
+                store_stock(*at, desired.stock, now=self._now)
             case StepAction.RENEW_CRL:
                 renew_list(*at, now=self._now)
             case StepAction.STORE_APPROVALS:
-                store_approvals(*at, self._desired.approvals, now=self._now)
+                store_approvals(*at, desired.approvals, now=self._now)
+
+    def _add_set(self, profile: str) -> None:
+        """Add it, and change all sets from then on."""
+        added = add_set(
+            self._keystore,
+            self._authorities,
+            profile_named(profile),
+            validity=self._desired.ca_validity,
+            passphrase=self._passphrase,
+            now=self._now,
+        )
+        self._keystore, self._authorities = added.keystore.sets[0], added.authorities
 
     def _issue(self, action: StepAction, steps: Sequence[Step]) -> None:
         if action is StepAction.ENROL:
             self._enrol(steps)
             return
-        members, profile = self._desired.members, self._keystore.profile
-        specs = [spec_of(members[step.name], profile, step.keys) for step in steps]
+        members, profiles = self._desired.members, self._keystore.profiles
+        specs = [spec_of(members[step.name], profiles, step.keys) for step in steps]
         if not self._whole:  # who signs the permissions sees by the digest that they are missing
             specs = [replace(spec, config_digest="") for spec in specs]
         issue(

@@ -9,11 +9,11 @@ from datetime import datetime
 from itertools import groupby
 from pathlib import Path
 
-from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
 from pqsec_pki.domain._profile_change import change_profile
 from pqsec_pki.domain._step_runner import StepRunner
 from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.planning import plan as make_plan
+from pqsec_pki.domain.planning import profiles_of
 from pqsec_pki.domain.proposing import refuse_unapproved
 from pqsec_pki.domain.steps import Plan, Step, StepAction
 from pqsec_pki.errors import UsageError
@@ -57,7 +57,8 @@ def apply(  # noqa: PLR0913 -- the choices are the user's, and by name
     if not revoke_most:
         refuse_mass_revocation(desired, found)
     keystore = keystore or create_keystore(desired, root, passphrase=passphrase, now=now)
-    batches = apply_plan(desired, keystore, keystore.unlock(passphrase), found, now=now)
+    cas = keystore.unlock(passphrase)
+    batches = apply_plan(desired, keystore, cas, found, passphrase=passphrase, now=now)
     return replace(found, steps=tuple(step for batch in batches for step in batch))
 
 
@@ -81,10 +82,9 @@ def create_keystore(
 
     ExistsError if `root` has any part of a keystore.
     """
-    profile = profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE
     return Keystore.create(
         root,
-        profile,
+        *profiles_of(desired),
         name=desired.name,
         domains=desired.domains,
         validity=desired.ca_validity,
@@ -94,16 +94,24 @@ def create_keystore(
     )
 
 
-def apply_plan(
-    desired: Desired, keystore: Keystore, authorities: Authorities, plan: Plan, *, now: datetime
+def apply_plan(  # noqa: PLR0913 -- the last by name
+    desired: Desired,
+    keystore: Keystore,
+    authorities: Authorities,
+    plan: Plan,
+    *,
+    passphrase: bytes | None = None,
+    now: datetime,
 ) -> Iterator[Sequence[Step]]:
     """Execute the steps except the creation of the keystore; yields the steps of each batch.
 
+    `passphrase` is that of the CA keys: those of a further set are encrypted under it, too.
     Steps that another command has done since the plan was made are skipped. Yielded steps are
     done, even if a later batch fails. A participant that fails does not stop the others; its
-    error is raised at the end. Errors as of the keystore's operations.
+    error is raised at the end. Errors as of the keystore's operations. If a set was added,
+    `keystore` lacks it: open it again.
     """
-    runner = StepRunner(desired, keystore, authorities, plan, now)
+    runner = StepRunner(desired, keystore, authorities, plan, now, passphrase)
     for action, group in groupby(plan.steps, key=lambda step: step.action):
         for steps in runner.alike(action, group):
             size = len(steps) if action in _WHOLE else BATCH

@@ -28,6 +28,8 @@ from pqsec_pki.problems import Code
 
 _LINES: Mapping[str, str] = {
     StepAction.CHANGE_PROFILE: "identity-ca",
+    StepAction.ADD_SET: "identity-ca",
+    StepAction.STORE_STOCK: "stock",
     StepAction.SIGN_GOVERNANCE: "governance",
     StepAction.ENROL: "participant",
     StepAction.ISSUE: "participant",
@@ -118,8 +120,12 @@ def refuse_other_state(proposal: PlanProposal, head: str) -> None:
 
 def _left(proposal: PlanProposal, since: Sequence[Line]) -> Iterator[ProposedStep]:
     """The steps of which the ledger has no line yet: each is made once."""
-    done = {(line.entry.kind, line.entry.name) for line in since}
-    done |= {(kind, "") for kind, _ in done if kind == _LINES[StepAction.CHANGE_PROFILE]}
+    entries = [line.entry for line in since]
+    # Each step has a line about the first set; of others, only those that begin them are counted:
+    # adding one records all participants.
+    done = {(each.kind, each.name) for each in entries if not each.set_name}
+    of_cas = _LINES[StepAction.ADD_SET]
+    done |= {(of_cas, each.set_name) for each in entries if each.kind == of_cas}
     for step in proposal.steps:
         if (_LINES.get(step.action), step.name) not in done:
             yield step

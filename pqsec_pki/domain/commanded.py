@@ -133,6 +133,7 @@ def _sha256(data: bytes) -> str:
 KINDS: Mapping[str, Covered] = {
     "revoke": Covered.REVOKE,
     "ca rotate": Covered.ROTATE,
+    "ca add-set": Covered.ROTATE,
     "ca crl": Covered.OTHER,
     "issue": Covered.GROW,
     "permit": Covered.GROW,

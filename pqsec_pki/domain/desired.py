@@ -124,8 +124,9 @@ class Desired:
     path: Path
     name: str
     """The name of the CAs; empty if the file has none."""
-    profile: str | None
-    """None for the keystore's profile, or the default for a new keystore."""
+    profiles: tuple[str, ...]
+    """That of each set of credentials, in order. Empty for those of the keystore, or the default of
+    a new one."""
     domains: DomainSet
     ca_validity: timedelta
     renew_before: timedelta | None
@@ -137,12 +138,14 @@ class Desired:
     """Members by name."""
     groups: Mapping[str, tuple[str, ...]]
     """Members by the group's name, sorted."""
+    stock: tuple[str, ...]
+    """Names and patterns of those who may be met with the first set of credentials, sorted."""
     prune: bool
     """Whether to revoke participants that are not in the file."""
     stacks: tuple[str, ...]
     """The stacks of the robots, such as `cyclonedds` or `fastdds-3.1`, for `migrate plan`."""
     migrate_from: str | None
-    """The profile of a keystore that `apply` changes to `profile`; None for no such change."""
+    """The profile that `apply` changes to the one of `profiles`; None for no such change."""
     approvals: ApprovalPolicy | None
     """Whose approvals changes need; None if they need none."""
     sha256: str

@@ -30,7 +30,7 @@ from pqsec_pki.domain._shared_rules import FoundParticipant, SharedRules, labels
 from pqsec_pki.domain._sources import ImportSource, LeftOut
 from pqsec_pki.domain.reading import DEFAULT_CA_VALIDITY, desired_in
 from pqsec_pki.errors import UsageError, shown
-from pqsec_pki.keystore import SETTINGS, Keystore, refuse_further_sets
+from pqsec_pki.keystore import SETTINGS, Keystore, matching
 
 Value = TypeVar("Value", bound=Hashable)
 
@@ -65,9 +65,7 @@ def source_at(path: Path, *, now: datetime, domains: DomainSet) -> ImportSource:
     for a source that cannot be read; KeystoreError for another folder.
     """
     if exists(path / SETTINGS):
-        keystore = Keystore.open(path)
-        refuse_further_sets(keystore, "a domain file describes")
-        return keystore_source(keystore, now)
+        return keystore_source(Keystore.open(path), now)
     if is_folder(path):
         return other_keystore_source(path, now)
     if path.suffix == ".xml" and is_sros2_policy(path):
@@ -166,8 +164,16 @@ class _Writer:
         if self.named_groups:
             written = {key: patterns_of(names) for key, names in self.named_groups.items()}
             parts.append(dump({"groups": written}))
+        if stock := self._stock():
+            parts.append(dump({"stock": stock}))
         parts += [dump({"approvals": approvals_as_yaml(each)}) for each in self._approvals()]
         return head.encode() + b"\n".join(parts)
+
+    def _stock(self) -> list[str]:
+        """The names and patterns of keystores that stand for somebody who is imported."""
+        names = [each.name for each in self.participants]
+        given = sorted({each for source in self.sources for each in source.stock})
+        return [each for each in given if matching(each, names)]
 
     def _approvals(self) -> list[ApprovalPolicy]:
         """What the keystores demand; UsageError if it is not the same."""
@@ -182,9 +188,9 @@ class _Writer:
         settings: dict[str, object] = {}
         if name := _only(each.ca_name for each in self.sources):
             settings["name"] = name
-        profile = _only(each.profile for each in self.sources)
-        if profile in {each.name for each in PROFILES}:
-            settings["profile"] = profile
+        profiles = _only(each.profiles for each in self.sources) or ()
+        if profiles and {*profiles} <= {each.name for each in PROFILES}:
+            settings["profile"] = profiles[0] if len(profiles) == 1 else [*profiles]
         settings["domains"] = domains_as_yaml(self.domains)
         if self.validity:
             settings["validity"] = _duration(self.validity)

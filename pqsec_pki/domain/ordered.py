@@ -25,7 +25,6 @@ from pqsec_pki.keystore import (
     matching,
     order_entry,
     predates_approvals,
-    refuse_further_sets,
     registration,
 )
 from pqsec_pki.lifecycle import ParticipantSpec, issue
@@ -56,7 +55,6 @@ def ordered_issue(
     VerificationError if not, with everything that is wrong; also if the ledger, by its newest head
     or those in the folder `anchors`, is not whole. UsageError if nothing was ordered.
     """
-    refuse_further_sets(keystore, "an order is for")
     order = asked.order
     if order is None:
         raise UsageError("no registration authority ordered this")
@@ -112,11 +110,11 @@ def _specs(
         raise VerificationError(
             "the requests are not those that were ordered", code=Code.CONTENT_CHANGED
         )
-    keys = validate_csrs(asked.requests, keystore.profile, names=names)
+    keys = validate_csrs(asked.requests, keystore.profiles, names=names)
     if problems := [*_role_problems(order, grant)]:
         raise VerificationError(*problems)
     return tuple(
-        replace(_member(each, grant).spec(), keys=keys[each.name]._replace(request=order.digest))
+        replace(_member(each, grant).spec(), keys=keys[each.name].answering(order.digest))
         for each in order.items
     )
 

@@ -4,14 +4,15 @@ It reads the ledger, the files' inodes and times, and requests. It parses the do
 participants whose config digest differs, and no others.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from datetime import datetime
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._times import said
-from pqsec_pki.algorithms import DEFAULT_PROFILE, profile_named
+from pqsec_pki.algorithms import DEFAULT_PROFILE, Profile, profile_named
 from pqsec_pki.approvals import ApprovalPolicy
+from pqsec_pki.domain._added_sets import added_profiles, addition_steps
 from pqsec_pki.domain._profile_change import is_wanted, plan_profile_change
 from pqsec_pki.domain._reconcile import Reconciler
 from pqsec_pki.domain.desired import Desired
@@ -24,10 +25,10 @@ from pqsec_pki.keystore import (
     State,
     Status,
     governance_digest,
-    refuse_further_sets,
     signed_governance,
     status,
 )
+from pqsec_pki.lifecycle import addable
 
 _TWO_CAS = "is not in the file, and nobody can be revoked while two identity CAs are trusted"
 _NEEDED_CA = {
@@ -39,9 +40,11 @@ _NEEDED_CA = {
     StepAction.RENEW: SigningCa.IDENTITY,
     StepAction.REVOKE: SigningCa.IDENTITY,
     StepAction.RENEW_CRL: SigningCa.IDENTITY,
+    StepAction.STORE_STOCK: SigningCa.PERMISSIONS,
     StepAction.STORE_APPROVALS: SigningCa.PERMISSIONS,
 }
-"""Other steps need both CAs: orders are performed whole, and CAs are made and replaced together."""
+"""Other steps need both CAs: orders are performed whole, and CAs are made and replaced together.
+So are those of a further set."""
 _MOST_GROUPS = 5
 """In the reason of a step."""
 _PLACE = {action: place for place, action in enumerate(StepAction)}
@@ -61,8 +64,9 @@ def plan(  # noqa: PLR0913 -- the choices are the user's, and by name
     `prune` has the same effect as in the file. `new_keys` allows requests for other keys than
     the participant had. With `only`, the plan has the steps that need that CA's keys, and new
     certificates come without permissions: a plan of the other part signs them, where the keystore
-    was carried. KeystoreError if the keystore has another name, or another profile that the file
-    does not change; and with `only` if there is none.
+    was carried. KeystoreError if the keystore has another name, another profile that the file does
+    not change, or a set of credentials that the file does not name; and with `only` if there is
+    none.
     """
     if only:
         if keystore is None:
@@ -71,21 +75,25 @@ def plan(  # noqa: PLR0913 -- the choices are the user's, and by name
         return _part(plan(desired, keystore, now=now, prune=prune, new_keys=new_keys), only)
     if keystore is None:
         return _from_nothing(desired)
-    refuse_further_sets(keystore, "a domain file describes")
     if is_wanted(desired, keystore):
         _refuse_another_name(desired, keystore)
         return plan_profile_change(desired, keystore, now=now)
-    _refuse_another(desired, keystore)
+    adding = added_profiles(desired, keystore)
+    _refuse_another_name(desired, keystore)
     actual = status(keystore, now=now, due=desired.renew_before, compare_files=True)
+    found = addable(keystore, now=now) if adding else None
+    can_add = found is not None and not found.refused
     reconciler = Reconciler(
-        profile=keystore.profile,
+        profiles=(*keystore.profiles, *(adding if can_add else ())),
         keystore=keystore,
-        ca_ends=keystore.identity_ca.not_after,
+        ca_ends=min(each.identity_ca.not_after for each in keystore.sets),
         now=now,
         new_keys=new_keys,
         members=desired.members,
+        added=frozenset(found.issued) if found else frozenset(),
     )
-    return _Planner(desired, keystore, actual, reconciler, now, prune or desired.prune).plan()
+    planner = _Planner(desired, keystore, actual, reconciler, now, prune or desired.prune)
+    return planner.plan(list(addition_steps(adding, found, keystore)))
 
 
 def _part(whole: Plan, only: SigningCa) -> Plan:
@@ -96,27 +104,22 @@ def _part(whole: Plan, only: SigningCa) -> Plan:
 
 
 def _from_nothing(desired: Desired) -> Plan:
-    reconciler = Reconciler(profile_named(desired.profile) if desired.profile else DEFAULT_PROFILE)
+    reconciler = Reconciler(profiles_of(desired))
     found = [each for member in desired.members.values() for each in reconciler.of(member, None)]
     steps = [
         Step(StepAction.CREATE_CAS, "", "there is no keystore"),
         Step(StepAction.SIGN_GOVERNANCE, "", "there is no keystore"),
         *([Step(StepAction.STORE_GROUPS, "", _counted(desired))] if desired.groups else []),
+        *([_stock_step(desired)] if desired.stock else []),
         *(each for each in found if isinstance(each, Step)),
         *([_approvals_step(desired)] if desired.approvals else []),
     ]
     return Plan(tuple(steps), tuple(each for each in found if isinstance(each, Blocked)), (), 0)
 
 
-def _refuse_another(desired: Desired, keystore: Keystore) -> None:
-    if desired.profile not in {None, keystore.profile.name}:
-        raise KeystoreError(
-            f"{desired.path} has profile {desired.profile}, but {keystore.root} has profile"
-            f" {keystore.profile.name}",
-            hint="`pqsec ca rotate` changes the profile of a keystore; so does `pqsec apply`, if"
-            f" the file has `migrate_from: {keystore.profile.name}`",
-        )
-    _refuse_another_name(desired, keystore)
+def profiles_of(desired: Desired) -> tuple[Profile, ...]:
+    """The profiles of a new keystore."""
+    return tuple(map(profile_named, desired.profiles)) or (DEFAULT_PROFILE,)
 
 
 def _refuse_another_name(desired: Desired, keystore: Keystore) -> None:
@@ -137,6 +140,11 @@ def _approvals_step(desired: Desired, before: ApprovalPolicy | None = None) -> S
     return Step(StepAction.STORE_APPROVALS, "", why)
 
 
+def _stock_step(desired: Desired) -> Step:
+    """The step; it names all, because they are what is decided."""
+    return Step(StepAction.STORE_STOCK, "", ", ".join(desired.stock) or "nobody")
+
+
 def _counted(desired: Desired) -> str:
     """The reason of the step that stores groups: each group and its number of members."""
     sizes = [f"@{key}: {len(names)}" for key, names in desired.groups.items()]
@@ -153,9 +161,9 @@ class _Planner:
     now: datetime
     prune: bool
 
-    def plan(self) -> Plan:
-        steps: list[Step] = []
-        blocked: list[Blocked] = []
+    def plan(self, addition: Sequence[Step | Blocked]) -> Plan:
+        steps = [each for each in addition if isinstance(each, Step)]
+        blocked = [each for each in addition if isinstance(each, Blocked)]
         ended: list[Ended] = []
         unchanged = 0
         if why := self._why_sign_governance():
@@ -170,8 +178,10 @@ class _Planner:
         others = self._others()
         if self._has_other_groups(others):
             steps.append(Step(StepAction.STORE_GROUPS, "", _counted(self.desired)))
+        if self.keystore.stock != self.desired.stock:
+            steps.append(_stock_step(self.desired))
         if self.prune:
-            overlap = Overlap.of(self.keystore)
+            overlap = next(filter(None, map(Overlap.of, self.keystore.sets)), None)
             if overlap:
                 blocked += [Blocked(name, _TWO_CAS, overlap.next_step) for name in others]
             else:
@@ -186,12 +196,16 @@ class _Planner:
         return Plan(tuple(steps), tuple(blocked), unlisted, unchanged, head, ended=gone)
 
     def _why_sign_governance(self) -> str:
-        config_digest = governance_digest(self.keystore)
+        return next(filter(None, map(self._why_sign, self.keystore.sets)), "")
+
+    def _why_sign(self, keystore: Keystore) -> str:
+        """Why the governance of one set is signed."""
+        config_digest = governance_digest(keystore)
         if config_digest is None:
             return "the file is not the one signed last"
         if config_digest == self.desired.governance_digest:
             return ""
-        if not config_digest and signed_governance(self.keystore) == self.desired.governance:
+        if not config_digest and signed_governance(keystore) == self.desired.governance:
             return ""  # signed by another command, with the same content
         return "it was changed" if config_digest else "its content differs"
 
@@ -228,8 +242,10 @@ class _Planner:
         """The step that renews the list; renewing and revoking include it."""
         included = any(step.action in {StepAction.RENEW, StepAction.REVOKE} for step in steps)
         crl = self.actual.revocation_list
-        if included or crl is None or not crl.state.calls_for_renewal:
+        if included or crl is None or not self.actual.list_is_due:
             return []
         early = crl.state is State.NOT_YET_VALID
         why = "is not valid yet: a clock was wrong" if early else f"ends {said(crl.not_after)}"
+        if crl.state is State.GONE:
+            why = f"that of set {crl.set_name} is missing"
         return [Step(StepAction.RENEW_CRL, "", why)]

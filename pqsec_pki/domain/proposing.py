@@ -20,17 +20,28 @@ from pqsec_pki.domain.desired import Desired
 from pqsec_pki.domain.steps import Plan, Step, StepAction
 from pqsec_pki.errors import KeystoreError, shown
 from pqsec_pki.keystore import Keystore, groups_file
-from pqsec_pki.lifecycle import changed_protection, changed_rights, grows, lasts_longer, revocable
+from pqsec_pki.lifecycle import (
+    Addable,
+    addable,
+    changed_protection,
+    changed_rights,
+    grows,
+    lasts_longer,
+    revocable,
+    widens_stock,
+)
 
 _KINDS = {
     StepAction.CHANGE_PROFILE: Covered.ROTATE,
+    StepAction.ADD_SET: Covered.ROTATE,
     StepAction.ENROL: Covered.GROW,
     StepAction.ISSUE: Covered.GROW,
     StepAction.REPLACE: Covered.GROW,
     StepAction.REVOKE: Covered.REVOKE,
     StepAction.STORE_APPROVALS: Covered.APPROVALS,
 }
-"""The kinds of steps; those that sign documents may be GROW, the rest is OTHER."""
+"""The kinds of steps; those that sign documents or store stock names may be GROW, the rest is
+OTHER."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +61,15 @@ class PlanReview:
         """
         steps = (step for step in self.plan.steps if not step.approved)
         found = {_KINDS.get(step.action, Covered.OTHER) for step in steps}
-        if Covered.GROW not in found and (
-            self._last_longer() or any(grows(each) for _, each in self._signed())
-        ):
+        if Covered.GROW not in found and self._grows():
             found.add(Covered.GROW)
         return frozenset(found)
+
+    def _grows(self) -> bool:
+        """Whether a step that may be GROW is."""
+        stores = any(each.action is StepAction.STORE_STOCK for each in self.plan.steps)
+        widens = stores and widens_stock(self.keystore, self.desired.stock)
+        return widens or self._last_longer() or any(grows(each) for _, each in self._signed())
 
     @cached_property
     def steps(self) -> tuple[ProposedStep, ...]:
@@ -73,6 +88,7 @@ class PlanReview:
     def rights(self) -> tuple[ChangedRights, ...]:
         """The changes of rights, each with all who have it, and how long certificates last."""
         alike: dict[tuple[str, ...], list[str]] = {}
+        of_sets = self._of_sets()
         for name, difference in (*self._issued(), *self._signed()):
             alike.setdefault(tuple(rights_words(difference)), []).append(name)
         for step in self.plan.steps:
@@ -80,11 +96,36 @@ class PlanReview:
                 words = f"a certificate for the key with SHA-256 {step.keys}"
                 alike.setdefault((words,), []).append(step.name)
         for name in self._named(StepAction.ISSUE, StepAction.REPLACE, StepAction.RENEW):
-            words = f"a certificate that is valid for {days(self.desired.members[name].validity)}"
+            words = f"{of_sets} valid for {days(self.desired.members[name].validity)}"
+            alike.setdefault((words,), []).append(name)
+        for name, words in (*self._in_added_sets(), *self._stock()):
             alike.setdefault((words,), []).append(name)
         return tuple(
             ChangedRights(tuple(filter(None, names)), changes) for changes, names in alike.items()
         )
+
+    def _in_added_sets(self) -> Iterator[tuple[str, str]]:
+        """Who gets a certificate of each set that is added."""
+        for profile in self._named(StepAction.ADD_SET):
+            for name in self._addable.issued:
+                yield name, f"a certificate of set {profile}, as long as that of the first"
+
+    def _stock(self) -> Iterator[tuple[str, str]]:
+        """The names and patterns that are added and removed."""
+        if any(each.action is StepAction.STORE_STOCK for each in self.plan.steps):
+            before, after = {*self.keystore.stock}, {*self.desired.stock}
+            for name in sorted(after - before):
+                yield name, "may be met with the first set of credentials"
+            for name in sorted(before - after):
+                yield name, "may no longer be met with the first set of credentials"
+
+    def _of_sets(self) -> str:
+        """The beginning of words about certificates: they name all sets, if there are several."""
+        names = [each.name for each in self.keystore.profiles]
+        names += self._named(StepAction.ADD_SET)
+        if len(names) == 1:
+            return "a certificate that is"
+        return f"certificates of all sets ({', '.join(names)}) that are"
 
     def _issued(self) -> Iterator[tuple[str, Difference]]:
         """The rights that come with certificates."""
@@ -131,6 +172,10 @@ class PlanReview:
         match step.action:
             case StepAction.SIGN_GOVERNANCE:
                 return self.desired.governance_digest
+            case StepAction.STORE_STOCK:
+                return " ".join(self.desired.stock)
+            case StepAction.ADD_SET:
+                return self._added(step)
             case StepAction.STORE_GROUPS:
                 return groups_file(self.desired.groups).decode()
             case StepAction.STORE_APPROVALS:
@@ -138,11 +183,28 @@ class PlanReview:
             case _:
                 return f"{step.why} {self.desired.ca_validity.total_seconds()}"
 
+    def _added(self, step: Step) -> str:
+        """Each certificate of the first set beside which there is to be one of the new set."""
+        first = self.keystore.sets[0]
+        issued = self._addable.issued
+        with first.open_ledger() as ledger:
+            found = {row[0]: row[1] for row in ledger.participants(issued)}
+        of = " ".join(found[name] for name in issued)
+        return f"{step.name} {step.why} {self.desired.ca_validity.total_seconds()} {of}"
+
+    @cached_property
+    def _addable(self) -> Addable:
+        return addable(self.keystore, now=self.now)
+
     @cached_property
     def _revoked(self) -> Mapping[str, str]:
-        """SHA-256 of the newest certificate of each participant that is revoked."""
+        """SHA-256 of the newest certificate of each participant that is revoked.
+
+        That of the first set: it has one of each other set, also of one that the plan adds.
+        """
         names = [*self._named(StepAction.REVOKE)]
-        return {each.name: each.sha256 for each in revocable(self.keystore, names, now=self.now)}
+        found = revocable(self.keystore, names, now=self.now)
+        return {each.name: each.sha256 for each in found if not each.set_name}
 
 
 def rights_words(difference: Difference) -> Iterator[str]:

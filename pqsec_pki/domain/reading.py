@@ -56,7 +56,9 @@ from pqsec_pki.documents.parts_yaml import (
 from pqsec_pki.domain._approvals import approvals_in
 from pqsec_pki.domain._groups import groups_in, members_of_groups
 from pqsec_pki.domain._members import members_of
+from pqsec_pki.domain._profiles import profiles_in
 from pqsec_pki.domain._roles import entry_in, roles_in
+from pqsec_pki.domain._stock import stock_in, stock_names
 from pqsec_pki.domain.desired import Desired, Role, validity_in
 from pqsec_pki.errors import InvalidDocumentError, MissingError, located, shown
 from pqsec_pki.stacks import Stack
@@ -95,6 +97,8 @@ def desired_in(data: bytes, path: Path) -> Desired:
             governance=governance,
             members=members,
             groups=members_of_groups(settings["groups"], members),
+            profiles=settings["profile"],
+            stock=stock_names(settings["stock"], members),
             approvals=policy,
             sha256=hashlib.sha256(data).hexdigest(),
             **{key: settings[key] for key in _KEPT},
@@ -108,7 +112,7 @@ def new_domain(name: str) -> bytes:
 
 
 _KEPT = (
-    *("name", "profile", "domains", "ca_validity", "renew_before", "prune"),
+    *("name", "domains", "ca_validity", "renew_before", "prune"),
     *("stacks", "migrate_from", "roles"),
 )
 
@@ -120,7 +124,7 @@ def _domain(item: Item) -> dict[str, Any]:
     roles = peeked(item, "roles", roles_in, unknown)
     readers: Readers = {
         "name": _ca_name,
-        "profile": partial(chosen, names=[profile.name for profile in PROFILES]),
+        "profile": profiles_in,
         "domains": domains_read_alike,
         "ca_validity": validity_in,
         "validity": validity_in,
@@ -129,13 +133,15 @@ def _domain(item: Item) -> dict[str, Any]:
         "roles": roles_in,
         "participants": partial(each, reader=partial(entry_in, roles)),
         "groups": groups_in,
+        "stock": stock_in,
         "approvals": approvals_in,
         "prune": boolean,
         "stacks": partial(one_or_more, reader=_stack),
         "migrate_from": partial(chosen, names=[profile.name for profile in PROFILES]),
     }
     settings = fields(item, readers)
-    if settings.get("migrate_from") and settings.get("profile") in {None, settings["migrate_from"]}:
+    before = settings.get("migrate_from")
+    if before and (len(settings.get("profile", ())) != 1 or before in settings["profile"]):
         raise refused(item, "`migrate_from` needs a `profile` to change to, which is another one")
     settings.setdefault("governance", PRESETS[0].governance(default_domains))
     return {**_DEFAULTS, "domains": default_domains, **settings}
@@ -143,13 +149,14 @@ def _domain(item: Item) -> dict[str, Any]:
 
 _DEFAULTS: Mapping[str, Any] = {
     "name": "",
-    "profile": None,
+    "profile": (),
     "ca_validity": DEFAULT_CA_VALIDITY,
     "validity": YEAR,
     "renew_before": None,
     "roles": {},
     "participants": (),
     "groups": {},
+    "stock": (),
     "approvals": None,
     "prune": False,
     "stacks": (),

@@ -1,7 +1,7 @@
 """Requests and orders that the domain file names, of participants with their keys on robots."""
 
 import os
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
@@ -30,7 +30,7 @@ def is_there(member: Member) -> bool:
     return member.request is not None and os.path.lexists(member.request)
 
 
-def admitted(member: Member, profile: Profile) -> PublicKeys | None:
+def admitted(member: Member, profiles: Sequence[Profile]) -> PublicKeys | None:
     """The keys of the member's request; None if the domain file names no request.
 
     FileError or MalformedError if it cannot be read. VerificationError if none in the file has
@@ -42,11 +42,11 @@ def admitted(member: Member, profile: Profile) -> PublicKeys | None:
         found = _requests(member)
         if member.name not in found:
             raise VerificationError(f"no request in it is for {member.name}: {_said(found)}")
-        return validate_csrs(found[member.name], profile, names=[member.name])[member.name]
+        return validate_csrs(found[member.name], profiles, names=[member.name])[member.name]
 
 
-def asks_for_other_keys(member: Member, certified: str) -> bool:
-    """Whether its request has arrived, and is for other keys than the certified ones.
+def asks_for_other_keys(member: Member, certified: Collection[str]) -> bool:
+    """Whether its request has arrived, and is for other keys than those of its certificates.
 
     The request is not verified: that takes long for thousands.
     """
@@ -54,7 +54,8 @@ def asks_for_other_keys(member: Member, certified: str) -> bool:
         return False
     with suppress(PqsecError):
         own = _requests(member).get(member.name, ())
-        return any(key_hashes(each.public_key, each.alternative_key) != certified for each in own)
+        asked = [key_hashes(a.public_key, a.alternative_key) for each in own for a in each.sets]
+        return any(each not in certified for each in asked)
     return True
 
 
@@ -74,14 +75,14 @@ def deliver_request(member: Member, request: CertificateRequest) -> None:
     write(path, b"".join(each.pem for each in [*kept, request]), force=True)
 
 
-def spec_of(member: Member, profile: Profile, planned: str) -> ParticipantSpec:
+def spec_of(member: Member, profiles: Sequence[Profile], planned: str) -> ParticipantSpec:
     """The input of `issue`, with the keys of its request if it has one.
 
     Errors as of `admitted` and `Member.spec`. VerificationError also if the keys' hashes are
     not those `planned`; KeystoreError if the request can no longer be read.
     """
     try:
-        keys = admitted(member, profile)
+        keys = admitted(member, profiles)
     except FileError as error:
         raise KeystoreError(str(error), hint="it was there when the plan was made") from error
     if hashes_in(keys) != planned:
@@ -99,7 +100,8 @@ def order_in(path: Path) -> SignRequest:
 
 def hashes_in(keys: PublicKeys | None) -> str:
     """The keys' hashes as in the ledger; empty for None."""
-    return key_hashes(keys.key, keys.alternative) if keys else ""
+    sets = keys.sets if keys else ()
+    return " ".join(key_hashes(each.key, each.alternative) for each in sets)
 
 
 def _requests(member: Member) -> dict[str, list[CertificateRequest]]:

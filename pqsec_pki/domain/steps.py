@@ -12,8 +12,11 @@ class StepAction(StrEnum):
 
     CHANGE_PROFILE = "change-profile"
     CREATE_CAS = "create-cas"
+    ADD_SET = "add-set"
+    """Add a set of credentials of another profile; all steps after it are about all sets."""
     SIGN_GOVERNANCE = "sign-governance"
     STORE_GROUPS = "store-groups"
+    STORE_STOCK = "store-stock"
     ENROL = "enrol"
     """Enrol by an order of a registration authority, within its grant; an order is one change."""
     ISSUE = "issue"
@@ -34,8 +37,10 @@ class StepAction(StrEnum):
 _WORDS = {
     StepAction.CHANGE_PROFILE: "change the profile",
     StepAction.CREATE_CAS: "create the CAs",
+    StepAction.ADD_SET: "add the set",
     StepAction.SIGN_GOVERNANCE: "sign the governance",
     StepAction.STORE_GROUPS: "store the groups",
+    StepAction.STORE_STOCK: "store the stock names",
     StepAction.ENROL: "enrol",
     StepAction.ISSUE: "issue",
     StepAction.REPLACE: "issue again",
@@ -53,12 +58,18 @@ class Step:
 
     action: StepAction
     name: str
-    """The participant's name; empty if the step is not for one participant."""
+    """The participant's name, or the profile of the set that is added; empty if the step is for
+    neither."""
     why: str
     keys: str = field(default="", compare=False)
     """Hashes of the keys in its request, as in the ledger."""
     approved: bool = field(default=False, compare=False)
     """Whether the grant that it is within was approved, or needed no approvals."""
+
+    @property
+    def participant(self) -> str:
+        """The name of the participant that it changes; empty if it is not for one."""
+        return "" if self.action is StepAction.ADD_SET else self.name
 
     def to_json(self) -> dict[str, object]:
         """The step for --json."""

@@ -17,7 +17,7 @@ import os
 import re
 import secrets
 import shutil
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from dataclasses import field
 from datetime import datetime
@@ -232,13 +232,18 @@ class CredentialStore:
         create(draft, data, mode=mode)
         return draft
 
-    def tidy(self, answered: Mapping[str, Mapping[str, bytes]]) -> None:
-        """Remove requests whose keys are in `answered`, and old installations."""
-        for name, keys in answered.items():
-            folder = self.request_folder(name)
-            if folder.is_dir() and _files_in(folder).get(KEY) == keys.get(KEY):
-                self.remove(folder)
+    def tidy(self, answered: Iterable[str]) -> None:
+        """Remove requests for `answered` all of whose keys are installed, and old installations."""
         current = self.current
+        sets = current.sets if current else {}
+        for name in answered:
+            folder = self.request_folder(name)
+            installed = {place: found.get(name, {}).get(KEY) for place, found in sets.items()}
+            if folder.is_dir() and all(
+                _files_in(folder / layout.in_set(place, "")).get(KEY) == installed.get(place)
+                for place in _sets_in(folder)
+            ):
+                self.remove(folder)
         kept = {current.path.name, current.previous} if current else set()
         for number in self._numbers():
             if str(number) not in kept:
@@ -320,6 +325,12 @@ def _previous(text: str | None) -> str | None:
     if text is not None and not _NUMBER.fullmatch(text):
         raise ValueError(f"{text!r} is not the number of an installation")
     return text
+
+
+def _sets_in(folder: Path) -> list[str]:
+    """The sets for which the request in that folder has keys."""
+    further = folder / layout.SETS
+    return [layout.FIRST, *(each.name for each in (further.iterdir() if further.is_dir() else ()))]
 
 
 def _files_in(folder: Path) -> dict[str, bytes]:

@@ -32,7 +32,6 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import layout
 from pqsec_pki.problems import Problem
 from pqsec_pki.tokens import Pin, stored_pin
 
@@ -120,8 +119,7 @@ def install(  # noqa: PLR0913 -- the choices are the user's, and by name
             _refuse_older(found, newer, state, _instead(state, trusted, root))
         made = NextInstallation.of(bundle, found, store, before=before, alone=alone, pin=pin)
         already = made.put(store, newer, now)
-        answered = {name: made.sets[layout.FIRST][name] for name in bundle.names}
-        store.tidy(answered)  # also removes what a killed installation left
+        store.tidy(bundle.names)  # also removes what a killed installation left
         return _result(found, store, bundle, already=already, now=now)
 
 

@@ -103,7 +103,7 @@ class SignRequest:
         return {"sha256": self.sha256, "participants": list(map(_spec_json, self.specs))}
 
     def admitted(
-        self, profile: Profile, patterns: Collection[str] = ()
+        self, profiles: Sequence[Profile], patterns: Collection[str] = ()
     ) -> tuple[ParticipantSpec, ...]:
         """The participant specs with their public keys, after all requests were validated.
 
@@ -111,11 +111,11 @@ class SignRequest:
         also match one of them. VerificationError if not.
         """
         names = [spec.name for spec in self.specs]
-        keys = validate_csrs(self.requests, profile, names=names)
+        keys = validate_csrs(self.requests, profiles, names=names)
         if patterns:
-            validate_csrs(self.requests, profile, patterns=patterns)
+            validate_csrs(self.requests, profiles, patterns=patterns)
         return tuple(
-            replace(spec, keys=keys[spec.name]._replace(request=self.sha256)) for spec in self.specs
+            replace(spec, keys=keys[spec.name].answering(self.sha256)) for spec in self.specs
         )
 
 
@@ -190,7 +190,7 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
     """
     if asked.order:
         raise VerificationError("a registration authority's order is performed by its grant")
-    specs = asked.admitted(keystore.profile, patterns)
+    specs = asked.admitted(keystore.profiles, patterns)
     with keystore.open_ledger() as ledger:
         done = {each.name: each.details.get("request") for each in ledger.newest("participant")}
     new = [spec for spec in specs if done.get(spec.name) != asked.sha256]
@@ -211,22 +211,27 @@ def sign(  # noqa: PLR0913 -- the choices are the user's, and by name
 def refuse_large_answer(asked: SignRequest, keystore: Keystore) -> None:
     """TooLargeError if the answer would be too large, before anything is issued for it.
 
-    Its size is estimated: each bundle has the CAs' files, the governance and the list, as they are
-    now, and a certificate with the request's keys.
+    Its size is estimated: each bundle has the CAs' files, the governance and the list of each set,
+    as they are now, and a certificate with the request's keys.
     """
-    anchors, revoked = keystore.anchors, keystore.revocation_list
-    cas = [each.pem for each in (*anchors.identity_cas, anchors.permissions_ca)]
-    documents = [keystore.governance] * 2  # permissions are signed as it is
-    shared = {f"n{number}": data for number, data in enumerate([*cas, *documents])}
-    if revoked:
-        shared["list"] = revoked.pem
+    found = [data for each in keystore.sets for data in _shared_files(each)]
+    shared = {f"n{number}": data for number, data in enumerate(found)}
     count, packed = len(asked.specs), len(pack(shared))
     own = sum(len(each.der) for each in asked.requests)
     own += sum(len(each.policy or b"") + _OF_BUNDLE for each in asked.specs)
-    signed = count * len(anchors.identity_ca.der)
+    signed = count * sum(len(each.identity_ca.der) for each in keystore.sets)
     TooLargeError.check("the answer", count * packed + own + signed, MAX_ARCHIVE, hint=_FEWER)
     whole = count * sum(map(len, shared.values()))
     TooLargeError.check("the bundles in the answer", whole + own, MAX_UNPACKED, hint=_FEWER)
+
+
+def _shared_files(keystore: Keystore) -> Iterator[bytes]:
+    """About what a set's enclaves have in common; and permissions, which are signed likewise."""
+    anchors, revoked = keystore.anchors, keystore.revocation_list
+    yield from (each.pem for each in (*anchors.identity_cas, anchors.permissions_ca))
+    yield from (keystore.governance,) * 2
+    if revoked:
+        yield revoked.pem
 
 
 def answered(asked: SignRequest, keystore: Keystore, *, now: datetime) -> bytes:
@@ -333,11 +338,15 @@ def _unpacked(bundle: Bundle) -> int:
 
 
 def _fits(bundle: Bundle, name: str, request: CertificateRequest) -> bool:
+    """Whether it has, in each set, the certificate for the keys that were asked for."""
     with located(name):
-        certificate = only_certificate(bundle.enclaves[name][CERTIFICATE], CERTIFICATE)
-        kept = certificate.alternative.spki if certificate.alternative else None
-        asked = request.alternative.spki if request.alternative else None
-    return (certificate.spki, kept) == (request.spki, asked)
+        found = [
+            only_certificate(files[name][CERTIFICATE], CERTIFICATE)
+            for files in bundle.sets.values()
+        ]
+    return [(each.spki, each.alternative_spki) for each in found] == [
+        (each.spki, each.alternative_spki) for each in request.sets
+    ]
 
 
 def _is_there(goal: Path, bundle: Bundle, *, force: bool) -> bool:

@@ -1,7 +1,7 @@
 """On the robot: generate keys that never leave it, and the request for their certificate."""
 
 import secrets
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
@@ -20,8 +20,8 @@ from pqsec_pki.enrolment._own_folder import DRAFT, make_private
 from pqsec_pki.enrolment.credential_store import REQUESTS, CredentialStore, changing
 from pqsec_pki.enrolment.sealed import fingerprint
 from pqsec_pki.errors import KeystoreError, UsageError
-from pqsec_pki.keystore import expanded, is_several, regular_name
-from pqsec_pki.tokens import Pin, is_reference, key_file, participant_keys, stored_pin
+from pqsec_pki.keystore import expanded, is_several, layout, regular_name
+from pqsec_pki.tokens import Pin, is_reference, key_file, key_in, participant_keys, stored_pin
 
 REQUEST = "request.csr"
 SEALING_KEY, SEALING_PUBLIC_KEY = "bundle.key.pem", "bundle.pub.pem"
@@ -40,9 +40,16 @@ class Requested:
     """The names of key files that refer to a key that was not there before."""
 
 
-def request(name: str, profile: Profile, root: Path, *, force: bool = False) -> Requested:
+def request(
+    name: str,
+    profile: Profile,
+    root: Path,
+    *,
+    further: Sequence[Profile] = (),
+    force: bool = False,
+) -> Requested:
     """Generate the keys of one participant, and the request for their certificate: `requests`."""
-    [made] = requests([name], profile, root, force=force)
+    [made] = requests([name], profile, root, further=further, force=force)
     return made
 
 
@@ -51,12 +58,17 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
     profile: Profile,
     root: Path,
     *,
+    further: Sequence[Profile] = (),
     uris: Mapping[str, str] | None = None,
     pin: Pin = stored_pin,
     together: bool = False,
     force: bool = False,
 ) -> list[Requested]:
     """Generate the keys of each participant, and the request for their certificate.
+
+    With `further` profiles, for a keystore with several sets of credentials, there are keys for
+    each, and one request for all. If some of these sets are installed here, and others are not,
+    those keep their keys.
 
     They are in a folder of the participant under `root`, the keys with mode 0600, until `install`
     gets the answer. A pattern matches the participants that were requested or installed here.
@@ -69,16 +81,20 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
     for one file, `together`, TooLargeError if they do not fit into it.
     """
     uris = uris or {}
-    wanted = key_places(profile, uris)
+    profiles = (profile, *further)
+    wanted = key_places(profiles, uris)
     with changing(root) as store:
         goals = {name: store.request_folder(name) for name in _named(store, names)}
         if not force:
             for goal in goals.values():
                 refuse_existing(goal)
-        _refuse_unplaced(store, goals, uris)
+        _refuse_unplaced(store, goals, uris, profiles)
         make_private(root / REQUESTS)
         with participant_keys(wanted, pin) as outside:
-            drafts = {name: _draft(name, profile, root, outside.keys) for name in goals}
+            drafts = {
+                name: _draft(name, profiles, root, _kept(store, name, profiles, pin) | outside.keys)
+                for name in goals
+            }
             if together:
                 CertificateRequest.all_to_pem([each for _, each in drafts.values()])
             sync_filesystem(root)
@@ -91,25 +107,68 @@ def requests(  # noqa: PLR0913 -- the choices are the user's, and by name
 
 
 def key_places(
-    profile: Profile, uris: Mapping[str, str]
+    profiles: Sequence[Profile], uris: Mapping[str, str]
 ) -> dict[str, tuple[str, SignatureAlgorithm]]:
     """The URIs for `participant_keys`, without those that are IN_FILE.
 
+    Each is of the key in a file of the set of one of the `profiles`, such as `sets/pq/key.pem`.
     UsageError for a key that participants of the profile do not have.
     """
-    algorithms = {KEY: profile.participant_key, ALT_KEY: profile.alternative_key}
+    algorithms = _algorithms(profiles)
     found = {}
     for file, uri in uris.items():
-        algorithm = algorithms[file]
+        algorithm = algorithms.get(file)
         if algorithm is None:
-            raise UsageError(f"participants of profile {profile.name} have no alternative key")
+            names = ",".join(each.name for each in profiles)
+            if file == ALT_KEY:
+                raise UsageError(f"participants of profile {names} have no alternative key")
+            raise UsageError(f"participants of profile {names} have no {file}")
         if uri != IN_FILE:
             found[file] = uri, algorithm
     return found
 
 
+def _places(profiles: Sequence[Profile]) -> Iterator[tuple[str, Profile]]:
+    """The name of each set, and its profile."""
+    for number, each in enumerate(profiles):
+        yield each.name if number else layout.FIRST, each
+
+
+def _algorithms(profiles: Sequence[Profile]) -> dict[str, SignatureAlgorithm | None]:
+    """The algorithm of the key in each file; None for a key that there is not."""
+    return {
+        layout.in_set(place, file): algorithm
+        for place, each in _places(profiles)
+        for file, algorithm in ((KEY, each.participant_key), (ALT_KEY, each.alternative_key))
+    }
+
+
+def _kept(
+    store: CredentialStore, name: str, profiles: Sequence[Profile], pin: Pin
+) -> dict[str, PrivateKey]:
+    """The keys that stay, by the places of their files, if the participant lacks a set.
+
+    They are those of the sets that are installed, as far as they are of the profiles.
+    """
+    current = store.current.sets if store.current else {}
+    found = {place: current.get(place, {}).get(name, {}) for place, _ in _places(profiles)}
+    if all(found.values()) or not any(found.values()):
+        return {}
+    algorithms = _algorithms(profiles)
+    kept = {
+        layout.in_set(place, file): key_in(files[file], pin=pin)
+        for place, files in found.items()
+        for file in KEYS
+        if file in files
+    }
+    return {place: key for place, key in kept.items() if key.algorithm is algorithms[place]}
+
+
 def _refuse_unplaced(
-    store: CredentialStore, names: Collection[str], uris: Mapping[str, str]
+    store: CredentialStore,
+    names: Collection[str],
+    uris: Mapping[str, str],
+    profiles: Sequence[Profile],
 ) -> None:
     """UsageError if one key is for several, or one in a token would be followed by a file."""
     if len(names) > 1 and set(uris.values()) - {IN_FILE}:
@@ -118,8 +177,12 @@ def _refuse_unplaced(
             hint="request them one by one, each with a URI of its own",
         )
     for name in names:
-        before = next(filter(None, store.keys(name)), {})
-        outside = [file for file, data in before.items() if file in KEYS and is_reference(data)]
+        outside = [
+            layout.in_set(place, file)
+            for place, _ in _places(profiles)
+            for file, data in next(filter(None, store.keys(name, place)), {}).items()
+            if file in KEYS and is_reference(data)
+        ]
         if any(file not in uris for file in outside):
             raise UsageError(
                 f"a key of {name} is in a token, and the new key would be in a file",
@@ -139,18 +202,28 @@ def _named(store: CredentialStore, names: Iterable[str]) -> list[str]:
 
 
 def _draft(
-    name: str, profile: Profile, root: Path, outside: Mapping[str, PrivateKey]
+    name: str, profiles: Sequence[Profile], root: Path, given: Mapping[str, PrivateKey]
 ) -> tuple[Path, CertificateRequest]:
-    """The keys and their request, in a folder that `sweep` removes if this is killed."""
-    key, second = outside.get(KEY), profile.alternative_key
-    key = key or profile.participant_key.generate()
-    alternative = outside.get(ALT_KEY) or (second.generate() if second else None)
-    made = certificate_request(name, key, alternative)
+    """The keys and their request, in a folder that `sweep` removes if this is killed.
+
+    `given` are keys that are there already, by the places of their files.
+    """
+    keys = {
+        place: given.get(place) or algorithm.generate()
+        for place, algorithm in _algorithms(profiles).items()
+        if algorithm
+    }
+    pairs = [
+        (keys[layout.in_set(place, KEY)], keys.get(layout.in_set(place, ALT_KEY)))
+        for place, _ in _places(profiles)
+    ]
+    (first, alternative), *further = pairs
+    made = certificate_request(name, first, alternative, further=further)
     draft = root / f"{DRAFT}{secrets.token_hex(8)}"
     make_private(draft)
-    create(draft / KEY, key_file(key), mode=PRIVATE_MODE)
-    if alternative:
-        create(draft / ALT_KEY, key_file(alternative), mode=PRIVATE_MODE)
+    for place, key in keys.items():
+        make_private((draft / place).parent)
+        create(draft / place, key_file(key), mode=PRIVATE_MODE)
     create(draft / REQUEST, made.pem, mode=PUBLIC_MODE)
     return draft, made
 

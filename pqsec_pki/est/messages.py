@@ -9,6 +9,7 @@ from cryptography.hazmat.primitives.serialization import Encoding, pkcs7
 
 from pqsec_pki._asn1 import (
     AlgorithmIdentifier,
+    Oid,
     SubjectPublicKeyInfo,
     attribute,
     decode,
@@ -16,7 +17,7 @@ from pqsec_pki._asn1 import (
 )
 from pqsec_pki._der import sequence_of
 from pqsec_pki.algorithms import SignatureAlgorithm
-from pqsec_pki.certificates import Certificate, alternative_attributes
+from pqsec_pki.certificates import FURTHER_REQUESTS, Certificate, alternative_attributes
 from pqsec_pki.errors import MalformedError
 
 LINE = 64
@@ -48,17 +49,22 @@ def certs_only(certificates: Iterable[Certificate]) -> bytes:
     return pkcs7.serialize_certificates(found, Encoding.DER)
 
 
-def request_attributes(algorithm: SignatureAlgorithm, second: SignatureAlgorithm | None) -> bytes:
+def request_attributes(
+    algorithm: SignatureAlgorithm, second: SignatureAlgorithm | None, *, has_further: bool = False
+) -> bytes:
     """What a request needs, as CsrAttrs in DER (RFC 7030 4.5.2, RFC 9908 3.2).
 
     The type of its key with its terms, the algorithm of its signature, and for a `second` key the
-    attributes that bring it.
+    attributes that bring it. If the keystore `has_further` sets of credentials, the attribute with
+    the requests for those.
     """
     spki = algorithm.generate().public_key.spki
     kind = decode(SubjectPublicKeyInfo, spki, "SubjectPublicKeyInfo").algorithm
     signature = decode(AlgorithmIdentifier, algorithm.identifier, "AlgorithmIdentifier").algorithm
     key = attribute(kind.algorithm.dotted_string, *_terms(kind, algorithm))
     brought = alternative_attributes(second) if second else []
+    if has_further:
+        brought.append(encode(Oid(FURTHER_REQUESTS)))
     return sequence_of([encode(key), encode(signature), *brought])
 
 

@@ -11,7 +11,7 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
 from pqsec_pki._times import said
-from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile
+from pqsec_pki.algorithms import DEFAULT_PROFILE, PROFILES, Profile, profile_named
 from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.credentials import CERTIFICATE, KEY, KEYS, PROOF
 from pqsec_pki.enrolment import REQUEST, Bundle, Pins, begin_problems, changing, install, requests
@@ -21,6 +21,7 @@ from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.paths import PEM_FILE, REQUESTS
 from pqsec_pki.est.signing import RequestSigner
 from pqsec_pki.est.tls import TlsIdentity, is_for_tls
+from pqsec_pki.keystore import layout
 from pqsec_pki.problems import Code, Problem
 from pqsec_pki.tokens import Pin, is_reference, stored_pin, uri_in
 
@@ -32,6 +33,8 @@ _OLDER_SERVER = (
     " restore the newest"
 )
 Enclave = Mapping[str, bytes]
+Participant = Mapping[str, Enclave]
+"""The files of a participant in each set of credentials, the first one first."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,6 +43,8 @@ class KeyTerms:
 
     profile: Profile | None = None
     """None for keys of the kinds that it has."""
+    further: tuple[Profile, ...] = ()
+    """Those of further sets of credentials."""
     pins: Pins | None = None
     """The CAs; None for those that are trusted here."""
     trust_first: bool = False
@@ -57,12 +62,21 @@ class WaitingError(PqsecError):
 
 
 def installed(root: Path) -> Mapping[str, Enclave]:
-    """The files of each installed participant."""
+    """The files of each installed participant in the first set."""
+    return {name: files[layout.FIRST] for name, files in installed_in_sets(root).items()}
+
+
+def installed_in_sets(root: Path) -> Mapping[str, Participant]:
+    """The files of each installed participant in each set."""
     if not is_there(root):
         return {}
     with changing(root) as store:
-        current = store.current
-        return current.enclaves if current else {}
+        sets = store.current.sets if store.current else {}
+    found: dict[str, dict[str, Enclave]] = {}
+    for place, enclaves in sets.items():
+        for name, files in enclaves.items():
+            found.setdefault(name, {})[place] = files
+    return found
 
 
 def is_requested(root: Path, name: str) -> bool:
@@ -71,11 +85,19 @@ def is_requested(root: Path, name: str) -> bool:
         return is_there(store.request_folder(name) / REQUEST)
 
 
-def ask_for(root: Path, name: str, terms: KeyTerms, held: Certificate | None) -> bytes:
+def ask_for(root: Path, name: str, terms: KeyTerms, held: Participant) -> bytes:
     """The request of the participant, in PEM: the one that waits, or a new one."""
     if terms.force or not is_requested(root, name):
-        profile = terms.profile or _kinds(held)
-        requests([name], profile, root, uris=terms.uris, pin=terms.pin, force=terms.force)
+        first, *further = (terms.profile, *terms.further) if terms.profile else _kinds(held)
+        requests(
+            [name],
+            first,
+            root,
+            further=further,
+            uris=terms.uris,
+            pin=terms.pin,
+            force=terms.force,
+        )
     with changing(root) as store:
         return read(store.request_folder(name) / REQUEST)
 
@@ -146,19 +168,46 @@ def _refuse_early(bundle: Bundle, now: datetime) -> None:
         raise VerificationError(*early)
 
 
-def etag(name: str, files: Enclave, *, now: datetime) -> str:
+def etag(name: str, files: Participant, *, now: datetime) -> str:
     """The entity tag of a bundle with these files, as servers make it."""
-    public = {file: data for file, data in files.items() if file not in {*KEYS, PROOF}}
-    return f'"{Bundle(now, {name: public}).sha256}"'
+    public = {
+        place: {name: {file: data for file, data in own.items() if file not in {*KEYS, PROOF}}}
+        for place, own in files.items()
+    }
+    return f'"{Bundle(now, public.pop(layout.FIRST), further=public).sha256}"'
 
 
-def held_by(files: Enclave) -> Certificate:
-    """The participant's certificate."""
+def held_by(files: Participant) -> Certificate:
+    """The participant's certificate of the first set."""
+    return _certificate(files[layout.FIRST])
+
+
+def certificates(participant: Participant) -> list[Certificate]:
+    """Its certificate of each set, the first one first."""
+    return list(map(_certificate, participant.values()))
+
+
+def _certificate(files: Enclave) -> Certificate:
     return Certificate.from_pem(files[CERTIFICATE])
 
 
-def client_with(known: KnownServer, files: Enclave, pin: Pin = stored_pin) -> EstClient:
-    """A client that shows the participant's certificate, or signs what it asks with its keys."""
+def _strongest(participant: Participant) -> Enclave:
+    """The files of the set whose keys resist most: the server accepts no weaker certificate."""
+
+    def level(files: Enclave) -> int:
+        found = _certificate(files)
+        keys = found.public_key, found.alternative_key
+        return max(each.algorithm.level for each in keys if each)
+
+    return max(participant.values(), key=level)
+
+
+def client_with(known: KnownServer, participant: Participant, pin: Pin = stored_pin) -> EstClient:
+    """A client that shows the participant's certificate, or signs what it asks with its keys.
+
+    That of the set which resists most.
+    """
+    files = _strongest(participant)
     by_tls = is_for_tls(files[KEY])
     return EstClient(
         server=known.server,
@@ -169,22 +218,31 @@ def client_with(known: KnownServer, files: Enclave, pin: Pin = stored_pin) -> Es
     )
 
 
-def with_places(terms: KeyTerms, files: Enclave) -> KeyTerms:
+def with_places(terms: KeyTerms, participant: Participant) -> KeyTerms:
     """The terms of a renewal: a key in a token stays there, unless they name another place."""
-    there = {each: uri_in(files[each]) for each in KEYS if is_reference(files.get(each, b""))}
+    there = {
+        layout.in_set(place, each): uri_in(files[each])
+        for place, files in participant.items()
+        for each in KEYS
+        if is_reference(files.get(each, b""))
+    }
     return replace(terms, uris={**there, **(terms.uris or {})}) if there else terms
 
 
-def _kinds(held: Certificate | None) -> Profile:
-    """A profile whose participants have keys of the kinds that the certificate has."""
-    if held is None:
-        return DEFAULT_PROFILE
+def _kinds(held: Participant) -> list[Profile]:
+    """For each set a profile whose participants have keys of the kinds that it has here."""
+    if not held:
+        return [DEFAULT_PROFILE]
+    return [_kind(place, _certificate(files)) for place, files in held.items()]
+
+
+def _kind(place: str, held: Certificate) -> Profile:
     second = held.alternative_key.algorithm if held.alternative_key else None
     choices = {
         "participant_key": held.public_key.algorithm.name,
         "alternative_key": second.name if second else None,
     }
-    for profile in PROFILES:
+    for profile in [profile_named(place)] if place else PROFILES:
         with suppress(UsageError):
             changed = profile.changed(choices)
             if changed.alternative_key is second:

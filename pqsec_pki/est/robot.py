@@ -15,20 +15,21 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import is_there, read
 from pqsec_pki.certificates import Certificate
-from pqsec_pki.credentials import CERTIFICATE
-from pqsec_pki.enrolment import changing, one_command, require_trust
+from pqsec_pki.enrolment import Pins, changing, one_command, require_trust
 from pqsec_pki.errors import KeystoreError, PqsecError
 from pqsec_pki.est.client import EstClient, RequestEndedError, ServerAnswer
 from pqsec_pki.est.known_server import KnownServer
 from pqsec_pki.est.obtaining import (
-    Enclave,
     KeyTerms,
+    Participant,
     answer_to,
     ask_for,
+    certificates,
     client_with,
     etag,
     held_by,
     installed,
+    installed_in_sets,
     is_requested,
     take,
     with_places,
@@ -85,9 +86,9 @@ def enrol(  # noqa: PLR0913 -- by name
     if not terms.trust_first:
         require_trust(root, terms.pins)
     with one_command(root):
-        before, future = installed(root).get(name, {}), tuple[Problem, ...]()
+        before, future = installed_in_sets(root).get(name, {}), tuple[Problem, ...]()
         if terms.force or is_requested(root, name) or not _is_enrolled(before, root, terms, clock):
-            request = ask_for(root, name, terms, held_by(before) if before else None)
+            request = ask_for(root, name, terms, before)
             try:
                 answer = answer_to(client, request, patience)
             except RequestEndedError as error:
@@ -137,22 +138,29 @@ def deliver_receipt(root: Path, name: str | None = None) -> None:
         data = read(store.receipt) if is_there(store.receipt) else b""
     sha256 = hashlib.sha256(data).hexdigest()
     if known and data and known.receipt != sha256:
-        there = installed(root)
+        there = installed_in_sets(root)
         client_with(known, there[name or next(iter(there))]).post(RECEIPTS, data, RECEIPT_TYPE)
         known.with_receipt(sha256).save(root)
 
 
-def _is_enrolled(before: Enclave, root: Path, terms: KeyTerms, clock: Clock) -> bool:
-    if CERTIFICATE not in before or clock() > held_by(before).not_after:
+def _is_enrolled(before: Participant, root: Path, terms: KeyTerms, clock: Clock) -> bool:
+    if not before or any(clock() > each.not_after for each in certificates(before)):
         return False
     with changing(root) as store:
         state = store.trust_state
     if terms.pins and state and state.pins != terms.pins:
+        if _adds_sets(terms.pins, state.pins):
+            return False
         raise KeystoreError(
             f"{root} has a valid certificate under other CAs",
             hint="enrol into another --dir; --force replaces what is installed here",
         )
     return True
+
+
+def _adds_sets(pins: Pins, known: Pins) -> bool:
+    """Whether the pins are those that are known, and those of further sets of credentials."""
+    return known == {file: each for file, each in pins.items() if file in known}
 
 
 def _chosen(there: Iterable[str], names: Iterable[str], root: Path) -> list[str]:
@@ -176,15 +184,15 @@ def _renewed(  # noqa: PLR0913 -- by name
     due: timedelta | None,
     rekey: bool,
 ) -> Obtained:
-    before = installed(root)[name]
-    held, client = held_by(before), client_with(known, before, terms.pin)
+    before = installed_in_sets(root)[name]
+    held, client = certificates(before), client_with(known, before, terms.pin)
     terms = with_places(terms, before)
     failed: PqsecError | None = None
     future: tuple[Problem, ...] = ()
-    state = State.at(now, held.not_before, held.not_after, due)
-    if rekey or state.calls_for_renewal:
+    due_sets = (State.at(now, each.not_before, each.not_after, due) for each in held)
+    if rekey or any(each.calls_for_renewal for each in due_sets):
         try:
-            answer = _answered(client, name, root, terms, held)
+            answer = _answered(client, name, root, terms, before)
             future = take(answer, name, root, terms, now=now)
             return _outcome(root, name, before, future)
         except PqsecError as error:
@@ -200,7 +208,7 @@ def _renewed(  # noqa: PLR0913 -- by name
 
 
 def _answered(
-    client: EstClient, name: str, root: Path, terms: KeyTerms, held: Certificate
+    client: EstClient, name: str, root: Path, terms: KeyTerms, held: Participant
 ) -> ServerAnswer:
     """The answer to the waiting request, or to a new one if the server never answers that one.
 
@@ -212,12 +220,13 @@ def _answered(
         return answer_to(client, ask_for(root, name, replace(terms, force=True), held))
 
 
-def _outcome(root: Path, name: str, before: Enclave, future: tuple[Problem, ...]) -> Obtained:
-    after = installed(root)[name]
+def _outcome(root: Path, name: str, before: Participant, future: tuple[Problem, ...]) -> Obtained:
+    after = installed_in_sets(root)[name]
     return Obtained(
         name=name,
         certificate=held_by(after),
-        renewed=before.get(CERTIFICATE) != after[CERTIFICATE],
-        changed=dict(before) != dict(after),
+        renewed=[each.der for each in certificates(before)]
+        != [each.der for each in certificates(after)],
+        changed=before != after,
         future=future,
     )

@@ -43,6 +43,7 @@ class EnrolmentToken:
     names: str
     """The participant's name, or a pattern of names."""
     profile: str
+    """The name of the keystore's profile; of several, with commas between them."""
     not_after: datetime
 
     @classmethod

@@ -14,6 +14,7 @@ Its content:
     patterns      participants given as patterns and groups
     groups        the groups that `apply` stored
     approving     whose approvals are demanded, and who approved: lines of the ledger
+    stock         who may be met with the first set of credentials: a line of the ledger
     registering   what registration authorities may order, and ordered: lines of the ledger
 The ledger:
     _chain        one line, and how it is chained to the line before
@@ -111,7 +112,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.authorities import Authorities, check_pair
     from pqsec_pki.keystore.bundle_numbers import BundleNumbers, bundle_number
     from pqsec_pki.keystore.ca_keys import SigningCa, ca_key_files, key_algorithms, load_ca_key
-    from pqsec_pki.keystore.compromised import compromised_keys_in, key_hashes
+    from pqsec_pki.keystore.compromised import all_hashes, compromised_keys_in, key_hashes
     from pqsec_pki.keystore.current_files import CurrentFiles
     from pqsec_pki.keystore.delivery import (
         ADMISSION,
@@ -176,6 +177,8 @@ if TYPE_CHECKING:
         ParticipantState,
         State,
         current_certificate,
+        in_all_sets,
+        is_revoked,
         participant_states,
     )
     from pqsec_pki.keystore.status_report import (
@@ -187,6 +190,7 @@ if TYPE_CHECKING:
         signed_grants,
         status,
     )
+    from pqsec_pki.keystore.stock import stock_entry
     from pqsec_pki.keystore.superseded import superseded_certificates, superseded_in
 else:
     __getattr__ = lazy_exports(__name__, __file__)
@@ -242,6 +246,7 @@ __all__ = [
     "Status",
     "Transaction",
     "Way",
+    "all_hashes",
     "anchored_head",
     "approval_entries",
     "audit",
@@ -265,6 +270,8 @@ __all__ = [
     "grant_end_entry",
     "grant_entry",
     "groups_file",
+    "in_all_sets",
+    "is_revoked",
     "is_several",
     "key_algorithms",
     "key_hashes",
@@ -311,6 +318,7 @@ __all__ = [
     "stage_cas",
     "stage_governance",
     "status",
+    "stock_entry",
     "superseded_certificates",
     "superseded_in",
     "together",

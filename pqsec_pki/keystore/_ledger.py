@@ -44,6 +44,7 @@ _REVOKED_FOR = (
 )
 _KEYS_AFTER = (
     f"SELECT number, ifnull(CAST({_DETAIL.format('keys')} AS TEXT), '')"  # noqa: S608 -- see above
+    f" || ' ' || ifnull(CAST({_DETAIL.format('key_parts')} AS TEXT), '')"
     " FROM ledger WHERE +kind = 'participant' AND number > ?"
 )
 """The + keeps SQLite from the index of kinds, so that only the lines after that one are read."""
@@ -277,7 +278,7 @@ class Ledger:
         """Key, name, set and SHA-256 of each certificate for these keys, in any set, that ends at
         `until` or later.
 
-        `keys` are hashes, as of `key_hashes`.
+        `keys` are hashes, as of `all_hashes`.
         """
         with self._errors():
             last = _table.begin_keys(self._database)

@@ -19,6 +19,8 @@ from pqsec_pki.keystore.participant import load_first_certificate
 
 KEYS = "keys"
 """The detail with the hashes, separated by blanks."""
+PARTS = "key_parts"
+"""Likewise of the keys that composite ones consist of; without them, there is no such detail."""
 
 
 def key_hashes(*keys: PublicKey | None) -> str:
@@ -26,10 +28,22 @@ def key_hashes(*keys: PublicKey | None) -> str:
     return " ".join(hashlib.sha256(key.raw).hexdigest() for key in keys if key)
 
 
+def part_hashes(*keys: PublicKey | None) -> str:
+    """Likewise of the keys that composite ones consist of: whoever has such a key has half."""
+    return key_hashes(*(part for key in keys if key for part in key.parts))
+
+
+def all_hashes(*keys: PublicKey | None) -> list[str]:
+    """The hashes of each key, and of those that it consists of."""
+    return [*key_hashes(*keys).split(), *part_hashes(*keys).split()]
+
+
 def keys_detail(certificate: Certificate) -> dict[str, str]:
-    """The detail with the certificate's key hashes; empty for an unknown algorithm."""
+    """The details with the certificate's key hashes; empty for an unknown algorithm."""
     with suppress(PqsecError):
-        return {KEYS: key_hashes(certificate.public_key, certificate.alternative_key)}
+        keys = certificate.public_key, certificate.alternative_key
+        parts = part_hashes(*keys)
+        return {KEYS: key_hashes(*keys), **({PARTS: parts} if parts else {})}
     return {}
 
 
@@ -46,4 +60,4 @@ def _hashes(root: Path, line: Entry) -> list[str]:
         with suppress(PqsecError):
             certificate = load_first_certificate(path)
             details = keys_detail(certificate) if certificate.fingerprint == line.sha256 else {}
-    return str(details.get(KEYS, "")).split()
+    return f"{details.get(KEYS, '')} {details.get(PARTS, '')}".split()

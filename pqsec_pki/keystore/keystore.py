@@ -52,6 +52,7 @@ from pqsec_pki.keystore.participant import (
 )
 from pqsec_pki.keystore.patterns import GROUP, expanded, is_several
 from pqsec_pki.keystore.sets import created, stage_cas, stage_governance, together
+from pqsec_pki.keystore.stock import stock_of
 from pqsec_pki.tokens import Pin, is_reference, uri_in, without_pin
 
 if TYPE_CHECKING:
@@ -353,6 +354,16 @@ class Keystore:
             from pqsec_pki.keystore.approving import policy_of  # noqa: PLC0415 -- few have some
 
             return policy_of(ledger)
+
+    @property
+    def stock(self) -> tuple[str, ...]:
+        """Names and patterns of participants that may be met with the first set of credentials.
+
+        By the ledger, where `pqsec apply` puts those of the domain file; all others are met with
+        the strongest set only.
+        """
+        with self.open_ledger() as ledger:
+            return stock_of(ledger)
 
     def refuse_unapproved(self, *kinds: "Covered") -> None:
         """KeystoreError if changes of these kinds need approvals, and were not approved."""

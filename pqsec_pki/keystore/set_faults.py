@@ -12,6 +12,7 @@ from typing import TypeVar
 from pqsec_pki._files import exists, read
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import layout
+from pqsec_pki.keystore.compromised import all_hashes
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.smime import document_in
@@ -84,8 +85,17 @@ def _unlike(
 def _alike(first: Keystore, other: Keystore, place: str) -> Iterator[tuple[Path, str]]:
     mine, theirs = first.folder / place, other.folder / place
     with suppress(PqsecError):
-        if load_certificate(mine).spki == load_certificate(theirs).spki:
+        if not _keys(mine).isdisjoint(_keys(theirs)):
             yield theirs, f"has the key of {mine}"
+
+
+def _keys(path: Path) -> set[str]:
+    """What two sets must not have in common, also where an algorithm is unknown."""
+    certificate = load_certificate(path)
+    found = {certificate.spki.hex()}
+    with suppress(PqsecError):
+        found.update(all_hashes(certificate.public_key, certificate.alternative_key))
+    return found
 
 
 def _document(path: Path) -> bytes:

@@ -220,6 +220,11 @@ def in_all_sets(
     return [_joined(found[name], len(sets)) for name in sorted(found)]
 
 
+def is_revoked(state: ParticipantState) -> bool:
+    """Whether its certificate of any set was revoked."""
+    return any(each.revoked for each in (state, *state.further))
+
+
 def _joined(states: Sequence[ParticipantState], count: int) -> ParticipantState:
     found = {each.state for each in states}
     ended = found & {State.REVOKED, State.GONE, State.ELSEWHERE}

@@ -13,10 +13,11 @@ Participants and documents:
 CAs:
     adding        adds a set of credentials of another profile; `_sets` has what other changes do in
                   each set
+    additions     which participants it would be for, and what is in its way
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
-    grouping      stores the groups of a domain file, and whose approvals are needed
+    grouping      stores groups and stock names of a domain file, and whose approvals are needed
     fetching      gets what another machine with the same ledger wrote
     moving        moves the ledger from its file into a database, and back
     registering   grants for registration authorities, and their end
@@ -30,9 +31,15 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.lifecycle._issuer import Issued, PublicKeys
     from pqsec_pki.lifecycle.adding import AddedSet, add_set
+    from pqsec_pki.lifecycle.additions import Addable, addable
     from pqsec_pki.lifecycle.adopting import Adoptable, Adopted, adopt, adoptable
     from pqsec_pki.lifecycle.fetching import fetch_files
-    from pqsec_pki.lifecycle.grouping import store_approvals, store_groups
+    from pqsec_pki.lifecycle.grouping import (
+        store_approvals,
+        store_groups,
+        store_stock,
+        widens_stock,
+    )
     from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, grows
     from pqsec_pki.lifecycle.issuing import ParticipantSpec, issue
     from pqsec_pki.lifecycle.moving import IN_A_FILE, LedgerMove, move_ledger
@@ -77,6 +84,7 @@ __all__ = [
     "IN_A_FILE",
     "LIST_VALIDITY",
     "REVOCATIONS",
+    "Addable",
     "AddedSet",
     "Adoptable",
     "Adopted",
@@ -94,6 +102,7 @@ __all__ = [
     "Scope",
     "add_registration",
     "add_set",
+    "addable",
     "adopt",
     "adoptable",
     "apply_rollover",
@@ -121,4 +130,6 @@ __all__ = [
     "sign_permissions",
     "store_approvals",
     "store_groups",
+    "store_stock",
+    "widens_stock",
 ]

@@ -32,6 +32,18 @@ class PublicKeys(NamedTuple):
     """SHA-256, in hex, of the request, for the ledger."""
     csr: bytes | None = None
     """The certificate signing request, in PEM; the private keys are where it was made."""
+    further: "tuple[PublicKeys, ...]" = ()
+    """The keys of its certificates of the further sets."""
+
+    @property
+    def sets(self) -> "tuple[PublicKeys, ...]":
+        """The keys of each set, those of the first one first."""
+        return (self, *self.further)
+
+    def answering(self, request: str) -> "PublicKeys":
+        """These keys, requested in what has that SHA-256."""
+        further = tuple(each._replace(request=request) for each in self.further)
+        return self._replace(request=request, further=further)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

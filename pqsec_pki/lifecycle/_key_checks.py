@@ -1,18 +1,20 @@
 """Refuses keys that were revoked as compromised, and keys of other participants."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import datetime
 
 from pqsec_pki.algorithms import PublicKey
 from pqsec_pki.errors import VerificationError
-from pqsec_pki.keystore import Entry, Ledger, key_hashes
+from pqsec_pki.keystore import Entry, Ledger, all_hashes
+
+_OWN_KEY = "make a key of its own for each set"
 
 
 def refuse_compromised(
     compromised: Mapping[str, Entry], name: str, keys: Iterable[PublicKey | None]
 ) -> None:
     """VerificationError if any of the keys for `name` is compromised."""
-    for each in key_hashes(*keys).split():
+    for each in all_hashes(*keys):
         if line := compromised.get(each):
             raise VerificationError(
                 f"{name}: its key was revoked as compromised, with serial {line.serial} of"
@@ -33,16 +35,31 @@ def refuse_shared(
     """
     holders: dict[str, str] = {}
     for name, keys in asked.items():
-        for each in key_hashes(*keys).split():
+        for each in all_hashes(*keys):
             _refuse_second(name, holders.setdefault(each, name))
     for key, other, set_name, sha256 in ledger.certified(holders, now.isoformat()):
         if not ledger.line_of(("revocation",), sha256):
             _refuse_second(holders[key], other)
             if set_name != ledger.set_name:
                 raise VerificationError(
-                    f"{other}: its key is in another set of credentials too",
-                    hint="make a key of its own for each set",
+                    f"{other}: its key is in another set of credentials too", hint=_OWN_KEY
                 )
+
+
+def refuse_repeated(asked: Mapping[str, Sequence[Iterable[PublicKey | None]]]) -> None:
+    """VerificationError if a key, or a part of one, is for two participants or for two sets.
+
+    `asked` has the keys for each set of each participant.
+    """
+    holders: dict[str, tuple[str, int]] = {}
+    for name, sets in asked.items():
+        for number, keys in enumerate(sets):
+            for each in all_hashes(*keys):
+                holder, place = holders.setdefault(each, (name, number))
+                _refuse_second(name, holder)
+                if place != number:
+                    words = f"{name}: one key is for two sets of credentials"
+                    raise VerificationError(words, hint=_OWN_KEY)
 
 
 def _refuse_second(name: str, holder: str) -> None:

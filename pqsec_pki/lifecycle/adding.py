@@ -4,19 +4,16 @@ No file of the sets before changes: new CAs sign the same governance and permiss
 octet, and certify new keys of the same participants, all in one change.
 """
 
-from dataclasses import replace
+from dataclasses import field, replace
 from datetime import datetime, timedelta
-from pathlib import Path
-from shlex import quote
+from functools import partial
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import exists
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
-from pqsec_pki.credentials import TrustAnchors
-from pqsec_pki.documents import Governance, Permissions
-from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
+from pqsec_pki.errors import ExistsError, KeystoreError, PassphraseError, UsageError
 from pqsec_pki.keystore import (
     GITIGNORE,
     WAIT,
@@ -41,6 +38,7 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle._ca_changes import name_start
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer
+from pqsec_pki.lifecycle.additions import chosen, credentials_to_copy, governance_to_copy
 from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
 
 _SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
@@ -52,6 +50,8 @@ class AddedSet:
 
     keystore: Keystore
     """The new set."""
+    authorities: Authorities = field(repr=False)
+    """The CAs of all sets, the new ones among them."""
     issued: tuple[Issued, ...]
     left: tuple[str, ...]
     """Participants without credentials of the new set: their keys are not here, or their
@@ -71,7 +71,8 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
     """Add a set of that profile, with new CAs and for all participants whose keys are here.
 
     The CAs are named `name` [default: as those of the first set], and the profile's name. Their
-    keys are encrypted under `passphrase`. ExistsError if there is such a set; KeystoreError while
+    keys are encrypted under `passphrase`; PassphraseError without one if those of the other CAs are
+    encrypted. ExistsError if there is such a set; KeystoreError while
     two identity CAs are trusted, with a ledger in a database, and for a document or a subject that
     pqsec would write otherwise; UsageError if a CA would have the name of another.
     """
@@ -79,6 +80,8 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
         raise ExistsError(f"the keystore has a set of profile {profile.name} already")
     if keystore.ledger_address:
         raise KeystoreError("a ledger in a database is for a keystore with one profile")
+    if passphrase is None and keystore.is_locked():
+        raise PassphraseError("the keys of the new CAs would not be encrypted, as the others are")
     there = keystore.root / layout.in_set(profile.name, "")
     if exists(there, follow=False):
         raise ExistsError(
@@ -99,7 +102,7 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
         _stage_settings(view, transaction)
         addition.stage_shared(passphrase)
         issued, left = addition.issue()
-    return AddedSet(keystore=view, issued=tuple(issued), left=tuple(left))
+    return AddedSet(keystore=view, authorities=cas, issued=tuple(issued), left=tuple(left))
 
 
 def _refuse_known_names(authorities: Authorities, new: Authorities) -> None:
@@ -141,18 +144,11 @@ class _Addition:
     def stage_shared(self, passphrase: bytes | None) -> None:
         """Stage the CAs, the governance and, if the first set has one, a revocation list."""
         stage_cas(self.part, self.authorities, passphrase, self.now)
-        with CurrentFiles.of(self.first) as current:
-            signed, has_list = current.shared[layout.GOVERNANCE], layout.LIST in current.shared
-        document = _document(self.first.anchors, signed)
-        if Governance.from_xml(document).to_xml() != document:
-            enclaves = self.first.folder / layout.ENCLAVES
-            root, edited = quote(str(self.first.root)), quote(str(enclaves / layout.GOVERNANCE_XML))
-            raise _other_form(
-                enclaves / layout.GOVERNANCE,
-                f"review governance.xml and `pqsec -k {root} sign-governance {edited} --force`",
-            )
+        document = governance_to_copy(self.first)
         digest = governance_digest(self.first) or ""
         stage_governance(self.part, self.authorities, document, now=self.now, config_digest=digest)
+        with CurrentFiles.of(self.first) as current:
+            has_list = layout.LIST in current.shared
         if has_list:
             before = Publisher(self.first, self.cas.identity, self.ledger, self.now)
             own = self.ledger.of(self.new.set_name)
@@ -162,25 +158,16 @@ class _Addition:
     def issue(self) -> tuple[list[Issued], list[str]]:
         """Issue the participants whose keys are here; and the names of the others."""
         inspector = Inspector.of(self.first, self.ledger, now=self.now)
-        names = [each for each in self.first.names() if each in inspector.participants]
-        names = [each for each in names if not inspector.participants[each].revoked]
-        chosen = [each for each in names if self._can_be_issued(inspector, each)]
-        folders = [self.part.folder(layout.enclave_folder(name), private=True) for name in chosen]
+        found = chosen(inspector, self.now)
+        folders = [
+            self.part.folder(layout.enclave_folder(name), private=True) for name in found.issued
+        ]
         issuer = Issuer(self.new, self.authorities, self.transaction.number, self.now)
-        shared = self._shared()
-
-        def make(name: str, folder: StagedFolder) -> Issued:
-            return _issued(issuer, inspector, shared, name, folder)
-
-        issued = shared_out(make, chosen, folders)
+        make = partial(_issued, issuer, inspector, self._shared())
+        issued = shared_out(make, found.issued, folders)
         for each in issued:
             self.part.record(*each.entries)
-        return issued, sorted({*names} - {*chosen})
-
-    def _can_be_issued(self, inspector: Inspector, name: str) -> bool:
-        known = inspector.participants[name]
-        is_current = not known.issued_by_previous_ca and known.not_after > self.now
-        return is_current and self.first.has_key(name)
+        return issued, sorted(found.left)
 
     def _shared(self) -> dict[str, str]:
         """The shared files that the enclaves of the new set link to."""
@@ -199,17 +186,7 @@ def _issued(
     folder: StagedFolder,
 ) -> Issued:
     """New keys and a certificate that ends with that of the first set, and its permissions."""
-    there = inspector.keystore.folder / layout.enclave_folder(name)
-    old = inspector.certificate(name, there)
-    if old.subject_name != f"CN={name}":
-        raise _other_form(there / layout.CERTIFICATE, _renewal(inspector.keystore, name))
-    permissions, digest = None, ""
-    if not inspector.lacks_permissions(name, there):
-        document = _document(inspector.anchors, inspector.signed_permissions(name, there))
-        permissions = Permissions.from_xml(document)
-        digest = inspector.config_digest(name, there)
-        if permissions.to_xml() != document:
-            raise _other_form(there / layout.PERMISSIONS, _renewal(inspector.keystore, name))
+    old, permissions, digest = credentials_to_copy(inspector, name)
     keys = issuer.new_keys(folder)
     certificate = issuer.authorities.identity.issue(
         name,
@@ -223,21 +200,4 @@ def _issued(
         folder.link(link, target)
     return issuer.stage(
         folder, name, certificate, permissions, asked=old.not_after, config_digest=digest
-    )
-
-
-def _document(anchors: TrustAnchors, signed: bytes) -> bytes:
-    """The document in a signed file, with the ends of lines of our files."""
-    return anchors.signed(signed).document.replace(b"\r\n", b"\n")
-
-
-def _renewal(keystore: Keystore, name: str) -> str:
-    return f"`pqsec -k {quote(str(keystore.root))} renew {quote(name)}`"
-
-
-def _other_form(path: Path, way_out: str) -> KeystoreError:
-    """The error for what the new set could not have in the same form."""
-    return KeystoreError(
-        f"{path} has another form than pqsec writes: the sets would differ",
-        hint=way_out,
     )

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime, timedelta
 from functools import partial
-from typing import Self
+from typing import Self, TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._processes import shared_out
@@ -27,7 +27,7 @@ from pqsec_pki.keystore import (
     refuse_further_sets,
 )
 from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
-from pqsec_pki.lifecycle._key_checks import refuse_compromised, refuse_shared
+from pqsec_pki.lifecycle._key_checks import refuse_compromised, refuse_repeated, refuse_shared
 from pqsec_pki.lifecycle._sets import SetWork, common_validity, each_set
 
 _SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
@@ -47,7 +47,7 @@ class ParticipantSpec:
     grants: tuple[Grant, ...] = ()
     """Grants of a policy: their rules replace the domains and topics above."""
     keys: PublicKeys | None = None
-    """The keys of a verified request; None to make new keys here."""
+    """The keys of a verified request, for each set; None to make new keys here."""
     outside: Mapping[str, PrivateKey] = field(default_factory=dict, repr=False)
     """Keys in tokens that are to be used, by the names of their files, which will refer to them."""
     leaves_token: bool = False
@@ -90,23 +90,25 @@ def issue(  # noqa: PLR0913 -- the choices are the user's, and by name
     would be followed by one in a file, unless the spec `leaves_token`.
     """
     specs = _checked(keystore, specs, force=force)
-    if any(spec.keys or spec.outside for spec in specs):
-        refuse_further_sets(keystore, "a request or a key in a token is for")
+    if any(spec.outside for spec in specs):
+        refuse_further_sets(keystore, "a key in a token is for")
+    _refuse_other_sets(keystore, specs)
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.GROW)
         _refuse_issued(keystore, specs, force=force)  # by another command, since
         sets = each_set(keystore, authorities, transaction, ledger)
-        for each in sets:
+        for number, each in enumerate(sets):
             if not after_revocation:
                 _refuse_revoked(each, specs, now)
-            _refuse_keys(each, specs, now, compromised=compromised_keys)
+            asked = _asked(specs, number)
+            _refuse_keys(each, asked, now, compromised=compromised_keys)
             _refuse_files(each.keystore, specs)
         _refuse_ca_keys(authorities, specs)
         folders = [[each.folder(spec.name, private=True) for each in sets] for spec in specs]
         for spec in specs:
             for each in sets:
                 _clear(each.part, spec)
-        makers = [_Maker.of(each, transaction.number, now) for each in sets]
+        makers = [_Maker.of(each, transaction.number, now, at) for at, each in enumerate(sets)]
         make = partial(_issued, makers, sign_permissions=sign_permissions)
         issued = shared_out(make, specs, folders)
         transaction.record(*records)
@@ -123,18 +125,21 @@ class _Maker:
     issuer: Issuer
     shared: dict[str, str]
     """The shared files that its enclaves link to."""
+    at: int
+    """The place of the set among those of the keystore, from 0."""
 
     @classmethod
-    def of(cls, work: SetWork, number: int, now: datetime) -> Self:
+    def of(cls, work: SetWork, number: int, now: datetime, at: int) -> Self:
         issuer = Issuer(work.keystore, work.authorities, number, now)
-        return cls(issuer, shared_files(work.keystore, work.authorities))
+        return cls(issuer, shared_files(work.keystore, work.authorities), at)
 
     def certificate(
         self, spec: ParticipantSpec, folder: StagedFolder, validity: timedelta
     ) -> tuple[Certificate, str | None]:
         """A certificate for new keys or for those of a request, and the hash of that."""
         issuer = self.issuer
-        keys = spec.keys or issuer.new_keys(folder, spec.outside)
+        given = spec.keys.sets[self.at] if spec.keys else None
+        keys = given or issuer.new_keys(folder, spec.outside)
         certificate = issuer.authorities.identity.issue(
             spec.name,
             keys.key,
@@ -272,15 +277,38 @@ def _refuse_issued(keystore: Keystore, specs: Iterable[ParticipantSpec], *, forc
         )
 
 
-def _refuse_keys(
-    work: SetWork, specs: Iterable[ParticipantSpec], now: datetime, *, compromised: bool
-) -> None:
+def _refuse_other_sets(keystore: Keystore, specs: Iterable[ParticipantSpec]) -> None:
+    """VerificationError for keys that are not for all sets, or for two sets or participants."""
+    count = len(keystore.profiles)
+    asked = {spec.name: spec.keys.sets for spec in specs if spec.keys}
+    for name, keys in asked.items():
+        if len(keys) != count:
+            raise VerificationError(
+                f"{name}: there are keys for {len(keys)} of {count} sets of credentials",
+                hint="a request is for all sets, or for none",
+            )
+    refuse_repeated(
+        {name: [(each.key, each.alternative) for each in keys] for name, keys in asked.items()}
+    )
+
+
+_Asked: TypeAlias = dict[str, list[PublicKey | None]]
+
+
+def _asked(specs: Iterable[ParticipantSpec], at: int) -> _Asked:
+    """The keys from elsewhere that each participant is to have in the set at that place."""
+    found: _Asked = {}
+    for spec in specs:
+        if spec.keys:
+            own = spec.keys.sets[at]
+            found[spec.name] = [own.key, own.alternative]
+        elif spec.outside:
+            found[spec.name] = [key.public_key for key in spec.outside.values()]
+    return found
+
+
+def _refuse_keys(work: SetWork, asked: _Asked, now: datetime, *, compromised: bool) -> None:
     """VerificationError for requested keys that are compromised or another participant's."""
-    asked: dict[str, list[PublicKey | None]] = {
-        spec.name: [*spec.keys[:2]] if spec.keys else [key.public_key for key in outside]
-        for spec in specs
-        if (outside := [*spec.outside.values()]) or spec.keys
-    }
     if asked:
         known = {} if compromised else compromised_keys_in(work.keystore.folder, work.ledger)
         for name, keys in asked.items():

@@ -22,7 +22,7 @@ from pqsec_pki.keystore import (
     Overlap,
     Phase,
     State,
-    key_hashes,
+    all_hashes,
     layout,
     refuse_further_sets,
     refuse_overlap,
@@ -175,7 +175,7 @@ class _Decider:
         """Why its keys cannot be certified again; empty if they can."""
         if not keys_fit(certificate, profile):
             return "does not fit the profile"
-        hashes = key_hashes(certificate.public_key, certificate.alternative_key).split()
+        hashes = all_hashes(certificate.public_key, certificate.alternative_key)
         return "" if self.inspector.compromised.keys().isdisjoint(hashes) else "is compromised"
 
 

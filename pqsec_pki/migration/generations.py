@@ -78,7 +78,7 @@ def generations(
     yield current
     for number, profile in enumerate(profiles, 1):
         root = folder / f"generation{number}"
-        _copy(current.keystore.root, root)
+        copied(current.keystore.root, root)
         # a copy is not trusted, so it needs no approvals
         keystore = replace(Keystore.open(root, to_change=True), approved=True)
         plan = plan_rollover(keystore, Rollover(profile=profile), now=now)
@@ -86,8 +86,8 @@ def generations(
         yield current
 
 
-def _copy(root: Path, to: Path) -> None:
-    """The copy can be changed, even if `root` cannot.
+def copied(root: Path, to: Path) -> None:
+    """Copy the keystore at `root`; the copy can be changed, even if `root` cannot.
 
     FileError if anything in `root` cannot be copied, such as a named pipe.
     """

@@ -5,7 +5,8 @@ from itertools import pairwise
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import Family, Profile, profile_named, protection_lost
-from pqsec_pki.keystore import Keystore, refuse_further_sets
+from pqsec_pki.errors import KeystoreError
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.lifecycle import Rollover, RolloverPlan, plan_rollover
 from pqsec_pki.migration._temporary_folder import temporary_folder
 from pqsec_pki.migration.generations import SAMPLES, Generation, generations, sample
@@ -34,9 +35,9 @@ def plan_migration(
     """The steps from the keystore's profile to `target` for robots with these stacks.
 
     It takes sample participants through all profiles in a temporary folder. Errors of
-    `plan_rollover` if the keystore cannot be rolled over.
+    `plan_rollover` if the keystore cannot be rolled over; KeystoreError if it has several sets.
     """
-    refuse_further_sets(keystore, "`pqsec migrate` changes")
+    refuse_several(keystore)
     path = path_of(keystore.profile, target)
     steps: list[MigrationStep] = []
     with temporary_folder() as folder:
@@ -47,6 +48,17 @@ def plan_migration(
             rollover = plan_rollover(keystore, Rollover(profile=new.profile), now=now)
             steps += finder.steps(old, new, rollover)
     return MigrationPlan(before=keystore.profile.name, target=target.name, steps=tuple(steps))
+
+
+def refuse_several(keystore: Keystore) -> None:
+    """KeystoreError for several sets of credentials: no step replaces one of them."""
+    names = [each.name for each in keystore.profiles]
+    if len(names) > 1:
+        raise KeystoreError(
+            f"{keystore.root} has sets of credentials of profiles {', '.join(names)}, and a"
+            " migration to one profile is for one set",
+            hint=f"`--to {','.join(names)},PROFILE` plans to add a set of another profile",
+        )
 
 
 @dataclass(slots=True)
@@ -83,7 +95,7 @@ class _StepFinder:
             after=old.profile.name,
             commands=("pqsec plugin install", *peers),
             at_once=False,
-            stacks=tuple(self._plugin_needs(each) for each in self.stacks),
+            stacks=tuple(map(plugin_needs, self.stacks)),
             mixed="; ".join(mixed),
             if_skipped=tuple(
                 f"profile {new.profile.name}: {each.title} stops at {_words(refusals[each.name])}"
@@ -136,12 +148,6 @@ class _StepFinder:
             needs = f"{refusal.hint or 'another stack'} ({_words(refusal)})"
         return StackNeeds(stack=stack.title, needs=needs)
 
-    def _plugin_needs(self, stack: SimulatedStack) -> StackNeeds:
-        exporter = exporter_of(_stack_of(stack))
-        files = ", ".join(exporter.loads_ours)
-        needs = f"{files}; version {exporter.versions}" if files else "another stack: no plugin"
-        return StackNeeds(stack=stack.title, needs=needs)
-
     def _mixed(self, old: Generation, stack: SimulatedStack) -> str:
         failed = self._fails(old, stack, PQSEC)
         words = f"refuse each other at {_words(failed)}" if failed else "accept each other"
@@ -160,6 +166,14 @@ class _StepFinder:
             if found := failure(*sides, 0, self.now):
                 return found
         return None
+
+
+def plugin_needs(stack: SimulatedStack) -> StackNeeds:
+    """What the plugin needs of this stack."""
+    exporter = exporter_of(_stack_of(stack))
+    files = ", ".join(exporter.loads_ours)
+    needs = f"{files}; version {exporter.versions}" if files else "another stack: no plugin"
+    return StackNeeds(stack=stack.title, needs=needs)
 
 
 def _kept(old: Profile, new: Profile, before: int, after: int) -> tuple[str, ...]:

@@ -22,7 +22,7 @@ class MigrationStep:
 
     title: str
     before: str
-    """The profile before the step."""
+    """The profile before the step; of several sets of credentials all, with commas."""
     after: str
     """The profile after it; the same if only the robots change."""
     commands: tuple[str, ...]
@@ -35,6 +35,11 @@ class MigrationStep:
     """What is protected less against quantum computers after it."""
     if_skipped: tuple[str, ...]
     """What breaks without it."""
+    added: tuple[str, ...] = ()
+    """What is there in addition after it, and for which participants."""
+    removed: tuple[str, ...] = ()
+    back: tuple[str, ...] = ()
+    """How to go back to the state before, if something is added."""
     reissued: int = 0
     """Participants that pqsec reissues."""
     left_out: dict[str, str]
@@ -50,10 +55,13 @@ class MigrationStep:
     def facts(self) -> Iterator[tuple[str, str]]:
         """The step in words: (kind, text) of each fact."""
         yield from (("lost", each) for each in self.lost)
+        yield from (("adds", each) for each in self.added)
+        yield from (("removes", each) for each in self.removed)
         yield from (("run", each) for each in self.commands)
         yield from (("needs", f"{each.stack}: {each.needs}") for each in self.stacks)
         yield "mixed", self.mixed
         yield from (("skipped", each) for each in self.if_skipped)
+        yield from (("back", each) for each in self.back)
         if self.reissued:
             plural = "" if self.reissued == 1 else "s"
             yield "reissues", f"{self.reissued} participant{plural}"
@@ -68,7 +76,7 @@ class MigrationStep:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MigrationPlan:
-    """The steps from a keystore's profile to another."""
+    """The steps from a keystore's profile to another, or to several; names as in a step."""
 
     before: str
     target: str

@@ -5,7 +5,7 @@ domain file: a request only says which participant asks, and for which keys.
 """
 
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import field, replace
 from datetime import datetime
 from functools import cache, cached_property
@@ -29,6 +29,8 @@ from pqsec_pki.keystore import (
     ParticipantState,
     State,
     current_certificate,
+    in_all_sets,
+    is_revoked,
     key_hashes,
     order_in,
     participant_states,
@@ -92,10 +94,9 @@ class Admission:
             return self._again(member, held, holder, request)
         if member.by_order and (held is None or self._by_plan):
             raise NotAdmittedError(403, f"{name} {_BY_ORDER}")
-        keys = _keys(request, name, self.keystore.profile)
-        hashes = key_hashes(keys.key, keys.alternative)
+        keys = _keys(request, name, self.keystore.profiles)
         self._refuse_used(holder, name)
-        self._refuse_state(held, holder, hashes)
+        self._refuse_state(held, holder, keys)
         self._refuse_wider(held, holder, member)
         planned = self._by_plan and request.fingerprint in self._requests_of(name)[-1:]
         if holder.by == APPROVED or (self._by_plan and not planned):
@@ -108,7 +109,7 @@ class Admission:
         line = admission_entry(holder.by, name, request, self.now, certificate=holder.device)
         if planned:
             return Admitted(name, holder.by, line=line)
-        spec, again = replace(member.spec(), keys=keys), held is not None and held.revoked
+        spec, again = replace(member.spec(), keys=keys), held is not None and is_revoked(held)
         return Admitted(
             name, holder.by, spec, line, replaces=held is not None, after_revocation=again
         )
@@ -118,10 +119,12 @@ class Admission:
 
         By the lines of the ledger: one that was made before is perhaps in the hands of the thief.
         """
-        if held is None or not held.revoked:
-            return
-        if token is None or token.readmits <= self.ledger.line_of(REVOCATIONS, held.sha256):
-            raise NotAdmittedError(403, f"{held.name} was revoked", problem=WAS_REVOKED)
+        sets = (held, *held.further) if held else ()
+        for each in sets:
+            if not each.revoked:
+                continue
+            if token is None or token.readmits <= self.ledger.line_of(REVOCATIONS, each.sha256):
+                raise NotAdmittedError(403, f"{each.name} was revoked", problem=WAS_REVOKED)
 
     def _again(
         self,
@@ -161,7 +164,7 @@ class Admission:
     def _spec_again(self, member: Member, request: CertificateRequest) -> ParticipantSpec:
         name = member.name
         refuse_many(f"certificates of {name}", self._lines("participant", name), self.now)
-        return replace(member.spec(), keys=_keys(request, name, self.keystore.profile))
+        return replace(member.spec(), keys=_keys(request, name, self.keystore.profiles))
 
     def _refuse_undecided(
         self, request: CertificateRequest, name: str, call: SignerCall, *, planned: bool
@@ -220,7 +223,9 @@ class Admission:
     @cached_property
     def requesters(self) -> Requesters:
         """Finds who asks."""
-        return Requesters(self.ledger, self._lines, self.policy, self.factories, self.now)
+        return Requesters(
+            self.keystore, self.ledger, self._lines, self.policy, self.factories, self.now
+        )
 
     @cached_property
     def _lines(self) -> Callable[[str, str], list[Entry]]:
@@ -276,39 +281,79 @@ class Admission:
 
     def _held(self, name: str) -> ParticipantState | None:
         due = self.desired.renew_before
-        states = participant_states(self.keystore, self.ledger, [name], now=self.now, due=due)
-        return next(iter(states), None)
+        states = [
+            list(participant_states(each, ledger, [name], now=self.now, due=due))
+            for each, ledger in self._sets
+        ]
+        return next(iter(in_all_sets(states)), None)
 
-    def _refuse_state(self, held: ParticipantState | None, holder: Requester, keys: str) -> None:
+    @property
+    def _sets(self) -> Iterator[tuple[Keystore, Ledger]]:
+        """Each set of credentials with what the ledger says about it."""
+        return ((each, self.ledger.of(each.set_name)) for each in self.keystore.sets)
+
+    def _has_other_keys(self, name: str, keys: PublicKeys) -> bool:
+        """Whether a certificate of the participant, in any set, is for another key than asked.
+
+        A set in which it has none does not count: so it asks for what it lacks.
+        """
+        return any(
+            state.keys != key_hashes(own.key, own.alternative)
+            for (each, ledger), own in zip(self._sets, keys.sets, strict=True)
+            for state in participant_states(each, ledger, [name], now=self.now)
+        )
+
+    def _refuse_state(
+        self, held: ParticipantState | None, holder: Requester, keys: PublicKeys
+    ) -> None:
         """NotAdmittedError if this participant may not have a new certificate now."""
         if held is None:
             return
         if holder.by == APPROVED:
             return  # who approved it saw that it replaces a certificate
         if holder.device is not None:
-            if not holder.again and held.keys != keys:
+            if not holder.again and self._has_other_keys(held.name, keys):
                 raise NotAdmittedError(409, f"{held.name} has a certificate for another key")
             return
         if holder.token is not None:
-            if not holder.token.replaces and held.keys != keys:
+            if not holder.token.replaces and self._has_other_keys(held.name, keys):
                 raise NotAdmittedError(
                     409,
                     f"{held.name} has a certificate for another key: the token must be made"
                     " with --replace",
                 )
             return
-        if holder.certificate is None or holder.certificate.fingerprint not in {
-            held.sha256,
-            current_certificate(self._lines("participant", held.name), self.now),
-        }:
+        if holder.certificate is None or not self._is_current(held.name, holder):
             raise NotAdmittedError(403, f"this is not the current certificate of {held.name}")
-        if not (self.policy.renew_any_time or held.state.calls_for_renewal):
+        self._refuse_weaker(held.name, holder.set_name)
+        due = held.state.calls_for_renewal or held.state is State.INCOMPLETE
+        if not (self.policy.renew_any_time or due):
             raise NotAdmittedError(
                 403,
                 f"its certificate is not due: it ends {said(held.not_after)}, and it is"
                 f" {said(self.now)} at the server; if the robot's clock says another time, set it;"
                 " else the server renews earlier with `renew: any-time` in serve.yaml",
             )
+
+    def _refuse_weaker(self, name: str, shown: str) -> None:
+        """NotAdmittedError if it ever had a certificate of a set that resists more than `shown`.
+
+        Who breaks the weaker key could else get certificates of the stronger set with it.
+        """
+        levels = {each.set_name: each.profile.participant_level for each in self.keystore.sets}
+        for each, ledger in self._sets:
+            if levels[each.set_name] > levels[shown] and ledger.count("participant", name):
+                raise NotAdmittedError(
+                    403,
+                    f"show the certificate of profile {each.profile.name}: a weaker one decides"
+                    " about no other",
+                )
+
+    def _is_current(self, name: str, holder: Requester) -> bool:
+        """Whether it shows the newest certificate of a set, or the one that is valid now."""
+        lines = self.ledger.of(holder.set_name).of_name("participant", name)
+        shown = holder.certificate.fingerprint if holder.certificate else ""
+        return shown in {lines[-1].sha256, current_certificate(lines, self.now)}
 
     def _refuse_wider(
         self, held: ParticipantState | None, holder: Requester, member: Member
@@ -342,9 +387,9 @@ def _request_in(der: bytes) -> CertificateRequest:
         raise NotAdmittedError(400, str(error)) from None
 
 
-def _keys(request: CertificateRequest, name: str, profile: Profile) -> PublicKeys:
-    """The keys to be certified; NotAdmittedError without proof of possession of the profile's."""
+def _keys(request: CertificateRequest, name: str, profiles: Sequence[Profile]) -> PublicKeys:
+    """The keys to be certified; NotAdmittedError without proof of possession of the profiles'."""
     try:
-        return validate_csrs([request], profile, names=[name])[name]
+        return validate_csrs([request], profiles, names=[name])[name]
     except VerificationError as error:
         raise NotAdmittedError(400, str(error)) from None

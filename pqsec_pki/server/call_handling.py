@@ -199,11 +199,13 @@ class CallHandler:
         The CAs, the list, and the governance. Asked before a certificate is issued and a token is
         used, so that an answer that admits a robot is one that it can install.
         """
-        anchors, now = self.keystore.anchors, self.clock()
-        problems = [*anchors.problems(now), *anchors.list_problems(now)]
-        if problems:
-            raise VerificationError(*problems)
-        anchors.signed_governance(self.keystore.governance)
+        now = self.clock()
+        for each in self.keystore.sets:
+            anchors = each.anchors
+            problems = [*anchors.problems(now), *anchors.list_problems(now)]
+            if problems:
+                raise VerificationError(*problems)
+            anchors.signed_governance(each.governance)
 
     def _sign_head(self) -> None:
         """Sign a head over the lines that other servers with this ledger added.
@@ -273,11 +275,10 @@ class CallHandler:
         return guarded(lambda: self._certificate(admitted.name, note))
 
     def _certificate(self, name: str, note: str) -> SignerAnswer:
-        body = to_base64(certs_only([load_certificate(self._certificate_path(name))]))
+        """The certificate of each set that the request asked for."""
+        found = [load_certificate(_certificate_path(each, name)) for each in self.keystore.sets]
+        body = to_base64(certs_only(found))
         return SignerAnswer(status=200, body=body, media_type=PKCS7, note=note)
-
-    def _certificate_path(self, name: str) -> Path:
-        return self.keystore.folder / layout.enclave_folder(name) / layout.CERTIFICATE
 
     def _bundle(self, name: str, numbers: BundleNumbers, note: str = "") -> SignerAnswer:
         now = self.clock()
@@ -297,13 +298,18 @@ class CallHandler:
         return SignerAnswer(status=200, body=b"ready\n", media_type=TEXT)
 
     def _ca_certificates(self) -> SignerAnswer:
-        with CurrentFiles.of(self.keystore) as current:
-            body = to_base64(certs_only(current.anchors.identity_cas))
+        with self.keystore.open_ledger() as ledger:
+            sets = [CurrentFiles.within(each, ledger) for each in self.keystore.sets]
+            body = to_base64(certs_only(ca for each in sets for ca in each.anchors.identity_cas))
         return SignerAnswer(status=200, body=body, media_type=PKCS7)
 
     def _request_attributes(self) -> SignerAnswer:
-        profile = self.keystore.profile
-        body = to_base64(request_attributes(profile.participant_key, profile.alternative_key))
+        first, *further = self.keystore.profiles
+        body = to_base64(
+            request_attributes(
+                first.participant_key, first.alternative_key, has_further=bool(further)
+            )
+        )
         return SignerAnswer(status=200, body=body, media_type=CSRATTRS)
 
     def _own_bundle(self, name: str, _body: bytes) -> SignerAnswer:
@@ -333,7 +339,7 @@ class CallHandler:
 
     def _here(self, name: str) -> str:
         """The SHA-256 of the participant's certificate in the keystore; empty if it has none."""
-        path = self._certificate_path(name)
+        path = _certificate_path(self.keystore, name)
         return load_certificate(path).fingerprint if exists(path) else ""
 
     def _fetched(self, ledger: Ledger, names: Sequence[str]) -> set[str]:
@@ -368,3 +374,7 @@ class CallHandler:
         done = take_receipts(self.keystore, name, body, now=self.clock())
         clocks = dict.fromkeys(each.clock for each in done if each.clock)
         return SignerAnswer(status=204, note="; ".join([f"receipt, sent by {name}", *clocks]))
+
+
+def _certificate_path(keystore: Keystore, name: str) -> Path:
+    return keystore.folder / layout.enclave_folder(name) / layout.CERTIFICATE

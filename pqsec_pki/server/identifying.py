@@ -12,7 +12,7 @@ from pqsec_pki.certificates import Certificate, CertificateRequest
 from pqsec_pki.domain import Member
 from pqsec_pki.errors import VerificationError
 from pqsec_pki.est import WAS_REVOKED
-from pqsec_pki.keystore import Entry, Ledger
+from pqsec_pki.keystore import Entry, Keystore, Ledger
 from pqsec_pki.server.call import CallKind, SignerCall
 from pqsec_pki.server.configuration import EnrolmentPolicy
 from pqsec_pki.server.factories import Factory, factory_of
@@ -31,6 +31,7 @@ _NEW_KEY = "make a new one for it"
 class Requesters:
     """Finds the requester of a call, with the ledger as it is now."""
 
+    keystore: Keystore
     ledger: Ledger
     lines: Callable[[str, str], list[Entry]]
     """Returns the lines of a kind and name, oldest first."""
@@ -48,7 +49,8 @@ class Requesters:
             return self._of_token(call)
         if call.certificate:
             shown = Certificate.from_der(call.certificate)
-            if self.factories and call.kind is not CallKind.REENROL and not self._is_ours(shown):
+            known = call.kind is CallKind.REENROL or self._set_of(shown) is not None
+            if self.factories and not known:
                 return Requester("", _DEVICE, device=shown)
             return self._of_certificate(shown, self.policy.renew_expired)
         if call.kind is CallKind.REENROL:
@@ -86,10 +88,14 @@ class Requesters:
             raise NotAdmittedError(401, "the enrolment token was revoked")
         return Requester("", by_token(found.id), token=found)
 
-    def _is_ours(self, certificate: Certificate) -> bool:
-        """Whether it is of a participant, by the ledger: it knows each that was issued."""
-        lines = self.lines("participant", certificate.common_name or "")
-        return any(each.sha256 == certificate.fingerprint for each in lines)
+    def _set_of(self, certificate: Certificate) -> Keystore | None:
+        """The set in which it is of a participant, by the ledger: it knows each that was issued."""
+        name = certificate.common_name or ""
+        for each in self.keystore.sets:
+            lines = self.ledger.of(each.set_name).of_name("participant", name)
+            if any(line.sha256 == certificate.fingerprint for line in lines):
+                return each
+        return None
 
     def _of_certificate(
         self, certificate: Certificate, expired: timedelta = timedelta()
@@ -99,9 +105,10 @@ class Requesters:
         NotAdmittedError for a certificate that is not valid, or was revoked.
         """
         name = certificate.common_name or ""
-        if not self._is_ours(certificate):
+        own = self._set_of(certificate)
+        if own is None:
             raise NotAdmittedError(403, "the client certificate was not issued here")
-        revoked = self.lines("revocation", name)
+        revoked = self.ledger.of(own.set_name).of_name("revocation", name)
         if any(each.sha256 == certificate.fingerprint for each in revoked):
             words = "the client certificate was revoked"
             raise NotAdmittedError(403, words, problem=WAS_REVOKED)
@@ -111,7 +118,10 @@ class Requesters:
         if self.now - certificate.not_after > expired:
             raise NotAdmittedError(403, f"its certificate expired: {NEW_TOKEN}")
         return Requester(
-            name, f"certificate {certificate.serial_number:x}", certificate=certificate
+            name,
+            f"certificate {certificate.serial_number:x}",
+            certificate=certificate,
+            set_name=own.set_name,
         )
 
 

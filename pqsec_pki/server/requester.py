@@ -51,6 +51,8 @@ class Requester:
     token: TokenState | None = None
     certificate: Certificate | None = None
     """The participant's certificate."""
+    set_name: str = ""
+    """The set of credentials that it is of."""
     device: Certificate | None = None
     """The device certificate that its factory issued."""
     again: bool = False

@@ -23,7 +23,7 @@ from pqsec_pki._places import refuse_obeyed
 from pqsec_pki._processes import end_with
 from pqsec_pki.domain import read_domain
 from pqsec_pki.errors import FileError, KeystoreError
-from pqsec_pki.keystore import Authorities, Keystore, SeenLedger, refuse_further_sets
+from pqsec_pki.keystore import Authorities, Keystore, SeenLedger
 from pqsec_pki.server.call_handling import CallHandler
 from pqsec_pki.server.configuration import ServerSettings, read_settings
 from pqsec_pki.server.events import log
@@ -91,7 +91,6 @@ def _handler(
     """The handler of calls by the files as they are now, whose versions go into `seen`."""
     found = read_settings(settings.path)
     keystore = Keystore.open(settings.keystore, to_change=True)
-    refuse_further_sets(keystore, "`pqsec serve` enrols for")
     cas = keystore.anchors.identity_cas
     with noted(seen):
         desired, factories = read_domain(found.domain), read_factories(found.factories, cas)

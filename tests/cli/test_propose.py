@@ -62,6 +62,17 @@ def test_a_revocation_with_its_reason(run):
     run("revoke /r2 --yes").refused(3, "approvals are needed")  # it was approved for once
 
 
+def test_a_set_of_credentials_is_added_when_it_was_approved(run):
+    run("ca add-set hybrid").refused(3, "approvals are needed")
+    told, done = decide(run, "ca add-set hybrid")
+    assert "  new CAs of a set of profile hybrid\n" in told.out
+    assert "  a certificate of set hybrid, valid as the first\n" in told.out
+    assert "set  k/sets/hybrid" in done.done().out
+    run("apply plan.json --yes").refused(1, "the plan was applied already")
+    assert kinds(run).count("plan") == 1
+    run("log --verify").done()
+
+
 def test_one_approval_is_not_enough(run):
     run(f"{PROPOSE} revoke /r1").done()
     before = kinds(run)

@@ -173,6 +173,70 @@ def test_a_first_set_that_stock_stacks_cannot_read_is_told_with_the_way_out(pqse
     assert "only the first set" in told.out
 
 
+# A domain file
+
+
+DOMAIN = """
+name: Lab
+profile: [classical, hybrid]
+stock: /listener
+participants:
+- {name: /talker, publish: rt/chatter}
+- {name: /listener, subscribe: rt/chatter}
+"""
+
+
+def test_apply_makes_all_sets_and_adds_what_is_missing(pqsec, tmp_path):
+    file = tmp_path / "domain.yaml"
+    file.write_text(DOMAIN.replace("[classical, hybrid]", "classical"))
+    (tmp_path / "secret").write_text("some secret words")
+    (tmp_path / "secret").chmod(0o600)
+    pqsec("-k k apply --yes --passphrase-file secret").done()
+    before = (tmp_path / "k/enclaves/talker/cert.pem").read_bytes()
+    file.write_text(DOMAIN)
+    shown = pqsec("-k k plan")
+    assert shown.code == 1
+    why = "(beside classical: new CAs, and certificates for /listener, /talker)"
+    assert f"add the set  hybrid  {why}" in shown.out
+    done = pqsec("-k k apply --yes --passphrase-file secret").done()
+    assert "add the set: 1 (hybrid)" in done.out
+    assert "on their robots" not in done.err
+    assert (tmp_path / "k/enclaves/talker/cert.pem").read_bytes() == before
+    key = (tmp_path / "k/sets/hybrid/private/identity_ca.key.pem").read_text()
+    assert "ENCRYPTED" in key
+    pqsec("-k k plan").done()
+    pqsec("-k k apply --check").done()
+    document = pqsec("-k k domain import").done().out
+    assert "stock:" in document
+    file.write_text(document)
+    pqsec("-k k plan").done()
+
+
+def test_a_file_with_fewer_sets_says_what_to_do(pqsec, k, tmp_path):
+    del k
+    (tmp_path / "domain.yaml").write_text(DOMAIN.replace("[classical, hybrid]", "classical"))
+    for command in ("plan", "apply --yes"):
+        told = pqsec(f"-k k {command}").refused(3, "is not removed from a keystore")
+        assert "pqsec -k NEW apply domain.yaml" in told.err
+
+
+def test_migrate_plans_an_addition(pqsec, tmp_path):
+    pqsec("-k k ca init --profile classical --no-passphrase").done()
+    pqsec("-k k issue /talker /listener --publish chatter --subscribe chatter").done()
+    line = "-k k migrate plan --to classical,hybrid --stack cyclonedds"
+    done = pqsec(f"{line} --rehearse --steps steps").done()
+    assert "adds     certificates of set hybrid for /listener, /talker\n" in done.out
+    assert "removes  nothing: no file of classical changes, and no robot restarts\n" in done.out
+    assert "added for 2, 1 pair authenticated each other" in done.out
+    assert not (tmp_path / "k/sets").exists()
+    pqsec("-k k apply steps/1-classical+hybrid.yaml --yes").done()
+    pqsec("-k k apply steps/2-classical+hybrid.yaml --check").done()
+    assert (tmp_path / "k/sets/hybrid/enclaves/talker/cert.pem").exists()
+    pqsec("-k k migrate plan --to hybrid,classical").refused(3, "none is removed")
+    pqsec("-k k migrate plan --to classical,other").refused(2, "'other' is not one of")
+    pqsec("-k k migrate plan --to pq").refused(3, "is for one set")
+
+
 def test_bundles_installations_and_receipts_are_of_all_sets(pqsec, k, tmp_path):
     made = json.loads(pqsec("-k k bundle /talker --plain-key -o b --json").done().out)
     assert made["profiles"] == ["classical", "hybrid"]

@@ -88,6 +88,7 @@ def _meaning(schema: Schema, key: Schema) -> str:
 
 def _values(schema: Schema, key: Schema) -> str:
     referred = _referred(schema, key)
+    referred = next((each for each in referred.get("anyOf", ()) if "enum" in each), referred)
     if "enum" in referred:
         return ", ".join(f"`{value}`" for value in referred["enum"])
     return "`true`, `false`" if referred.get("type") == "boolean" else ""

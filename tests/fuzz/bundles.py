@@ -157,7 +157,7 @@ def take_sealed(data):
 
 def take_request(data):
     found = SignRequest.from_bytes(data)
-    assert [spec.name for spec in found.admitted(keystore().profile)]
+    assert [spec.name for spec in found.admitted(keystore().profiles)]
     return found
 
 

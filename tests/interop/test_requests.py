@@ -50,7 +50,7 @@ def test_a_robot_whose_keys_openssl_made_is_enrolled(openssl35, tmp_path, now, p
     openssl35("req", "-new", "-key", key, "-subj", r"/CN=\/lab\/robot", "-out", csr)
     asked = CertificateRequest.from_pem(csr.read_bytes())
     lab = Lab.create(tmp_path / "lab", LAB_PROFILES[profile], now)
-    keys = validate_csrs([asked], lab.keystore.profile, names=[NAME])
+    keys = validate_csrs([asked], lab.keystore.profiles, names=[NAME])
     spec = ParticipantSpec(
         name=NAME, domains=DOMAINS, publish=("t",), validity=YEAR, keys=keys[NAME]
     )

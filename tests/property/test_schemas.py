@@ -105,6 +105,11 @@ FILES = {
         migrate_from: transition
         """,
         "{governance: {file: g.yaml}}",
+        """
+        profile: [classical, hybrid, pq]
+        participants: [{name: ['/r{1..2}', /s], publish: x}]
+        stock: [/s, '/r*']
+        """,
     ],
 }
 READER_ONLY = {

@@ -21,7 +21,7 @@ def asked_of(keystore, root, name=ROBOT):
 def answered(keystore, *requests, now=NOW, **spec):
     """The bundle that answers these requests; `wish` says what is allowed."""
     names = [each.common_name for each in requests]
-    keys = validate_csrs(requests, keystore.profile, names=names)
+    keys = validate_csrs(requests, keystore.profiles, names=names)
     specs = [
         ParticipantSpec(
             **{"domains": DomainSet.of(0), "publish": ("t",), "validity": YEAR, **spec},

@@ -38,7 +38,7 @@ class Robot:
         return certificate_request(name, self.key, self.second)
 
     def spec(self, keystore, name=ROBOT):
-        keys = validate_csrs([self.request(name)], keystore.profile, names=[name])[name]
+        keys = validate_csrs([self.request(name)], keystore.profiles, names=[name])[name]
         return ParticipantSpec(name=name, domains=DomainSet.of(0), validity=YEAR, keys=keys)
 
 

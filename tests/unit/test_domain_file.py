@@ -57,7 +57,7 @@ def test_an_empty_mapping_is_a_domain_with_nobody(read):
     empty = read("{}")
     assert empty.members == {}
     assert empty.governance == PRESETS[0].governance(DomainSet.of(0))
-    assert (empty.name, empty.profile, empty.prune) == ("", None, False)
+    assert (empty.name, empty.profiles, empty.stock, empty.prune) == ("", (), (), False)
     assert (empty.ca_validity.days, empty.renew_before) == (3650, None)
 
 
@@ -432,9 +432,9 @@ def test_the_json_schema_has_the_parts_of_those_of_governance_and_permissions():
 
 
 def test_the_json_schema_knows_every_profile_and_key(read):
-    assert schema_of("domain").schema["properties"]["profile"]["enum"] == [
-        each.name for each in PROFILES
-    ]
+    one, several = schema_of("domain").schema["properties"]["profile"]["anyOf"]
+    assert one["enum"] == [each.name for each in PROFILES]
+    assert several["items"]["enum"] == one["enum"][1:]
     told = re.search("allowed: (.*)", _refusal(read, "x: y"))[1]
     assert set(schema_of("domain").schema["properties"]) == set(told.split(", "))
     for part, text in (("role", "roles: {r: {x: y}}"), ("participants", "participants: [{x: y}]")):

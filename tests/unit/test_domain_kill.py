@@ -32,6 +32,7 @@ NOT_MET = {
     StepAction.CHANGE_PROFILE,  # a rollover: test_rotate_kill
     StepAction.STORE_APPROVALS,  # the plan would need approvals: test_approvals_kill
     StepAction.ENROL,  # the keystore would need a grant: the test after it
+    *(StepAction.ADD_SET, StepAction.STORE_STOCK),  # test_domain_sets
 }
 """Of the actions, at the start below."""
 EVERY = 13

@@ -39,7 +39,7 @@ def keystore(tmp_path, now) -> Keystore:
 def spec(keystore, tmp_path) -> ParticipantSpec:
     """What the robot in `robot` requested."""
     requested = request(NAME, PROFILE, tmp_path / "robot")
-    keys = validate_csrs([requested.request], PROFILE, names=[NAME])
+    keys = validate_csrs([requested.request], [PROFILE], names=[NAME])
     spec = ParticipantSpec(name=NAME, domains=DOMAINS, publish=("t",), validity=YEAR)
     return replace(spec, keys=keys[NAME])
 

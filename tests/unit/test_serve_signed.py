@@ -232,7 +232,7 @@ def test_a_revoked_robot_signs_in_vain(server, tmp_path):
 def test_an_expired_certificate_signs_in_vain(server, tmp_path):
     robot = Robot(server, tmp_path, "/fleet/r6")
     keystore = Keystore.open(server.root, to_change=True)
-    keys = validate_csrs([robot.request], keystore.profile, names=["/fleet/r6"])["/fleet/r6"]
+    keys = validate_csrs([robot.request], keystore.profiles, names=["/fleet/r6"])["/fleet/r6"]
     spec = ParticipantSpec(
         name="/fleet/r6", domains=DomainSet.of(0), validity=timedelta(days=30), keys=keys
     )

@@ -45,7 +45,6 @@ from pqsec_pki.lifecycle import (
     sign_governance,
     sign_permissions,
 )
-from pqsec_pki.lifecycle._issuer import PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_shared
 from pqsec_pki.lint import check
 from tests.unit.keystores import DAY, NOW
@@ -473,13 +472,6 @@ def test_a_key_of_another_set_is_not_certified(keystore):
             refuse_shared(ledger, {"/other": [key]}, NOW)
     with keystore.open_ledger() as ledger:
         refuse_shared(ledger, {"/talker": [key]}, NOW)
-
-
-def test_requests_wait_for_a_way_to_ask_for_all_sets(keystore):
-    key = profile_named("classical").participant_key.generate().public_key
-    asked = replace(spec("/talker"), keys=PublicKeys(key, None))
-    with pytest.raises(KeystoreError, match="further sets of credentials"):
-        issue(keystore, keystore.unlock(None), [asked], now=NOW)
 
 
 def test_cas_of_several_sets_are_not_replaced_yet(keystore):
