@@ -17,7 +17,7 @@ from tests.docs.test_documents_run import _all_commands
 COMMANDS = generated.commands()
 PAGES = generated.command_pages()
 INDEX = f"{generated.COMMANDS}/index.md"
-MOST_LINES = 5670
+MOST_LINES = 5672
 """Of all hand-written pages of docs/ but the decisions, which are a record. 4,500 held for what
 stood before installing, enrolment over a network, a ledger on PostgreSQL, the proof of the
 handshake, the table of EST, editors, signed requests, and the study of both versions; 5,460 before
