@@ -6,7 +6,6 @@ octet, and certify new keys of the same participants, all in one change.
 
 from dataclasses import replace
 from datetime import datetime, timedelta
-from pathlib import Path
 from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
@@ -14,9 +13,8 @@ from pqsec_pki._files import exists
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
-from pqsec_pki.credentials import TrustAnchors
-from pqsec_pki.documents import Governance, Permissions
-from pqsec_pki.errors import ExistsError, KeystoreError, UsageError
+from pqsec_pki.documents import Governance
+from pqsec_pki.errors import ExistsError, KeystoreError
 from pqsec_pki.keystore import (
     GITIGNORE,
     WAIT,
@@ -38,7 +36,8 @@ from pqsec_pki.keystore import (
     stage_governance,
     together,
 )
-from pqsec_pki.lifecycle._ca_changes import name_start
+from pqsec_pki.lifecycle._alike import document_of, issued_alike, other_form
+from pqsec_pki.lifecycle._ca_changes import name_start, refuse_known
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer
 from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
@@ -89,9 +88,10 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
     start = name_start(first.identity_ca) if name is None else name
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.ROTATE)
-        refuse_overlap(first, WAIT)
+        for each in keystore.sets:
+            refuse_overlap(each, WAIT)
         new = further(profile, start, now=now, validity=validity)
-        _refuse_known_names(authorities, new)
+        refuse_known(authorities, new)
         view = replace(first, profiles=(*keystore.profiles, profile), set_name=profile.name)
         cas = together([*authorities.sets, new])
         transaction.authorities = cas
@@ -100,16 +100,6 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
         addition.stage_shared(passphrase)
         issued, left = addition.issue()
     return AddedSet(keystore=view, issued=tuple(issued), left=tuple(left))
-
-
-def _refuse_known_names(authorities: Authorities, new: Authorities) -> None:
-    known = {ca.certificate.subject_der for each in authorities.sets for ca in each.all}
-    for ca in new.all:
-        if ca.certificate.subject_der in known:  # issuers are found by name
-            raise UsageError(
-                f"{ca.certificate.subject_name} is the name of another CA of this keystore",
-                hint="choose another --name",
-            )
 
 
 def _stage_settings(keystore: Keystore, transaction: Transaction) -> None:
@@ -143,11 +133,11 @@ class _Addition:
         stage_cas(self.part, self.authorities, passphrase, self.now)
         with CurrentFiles.of(self.first) as current:
             signed, has_list = current.shared[layout.GOVERNANCE], layout.LIST in current.shared
-        document = _document(self.first.anchors, signed)
+        document = document_of(self.first.anchors, signed)
         if Governance.from_xml(document).to_xml() != document:
             enclaves = self.first.folder / layout.ENCLAVES
             root, edited = quote(str(self.first.root)), quote(str(enclaves / layout.GOVERNANCE_XML))
-            raise _other_form(
+            raise other_form(
                 enclaves / layout.GOVERNANCE,
                 f"review governance.xml and `pqsec -k {root} sign-governance {edited} --force`",
             )
@@ -170,7 +160,9 @@ class _Addition:
         shared = self._shared()
 
         def make(name: str, folder: StagedFolder) -> Issued:
-            return _issued(issuer, inspector, shared, name, folder)
+            for link, target in layout.shared_links(name, shared).items():
+                folder.link(link, target)
+            return issued_alike(issuer, inspector, name, folder)
 
         issued = shared_out(make, chosen, folders)
         for each in issued:
@@ -189,55 +181,3 @@ class _Addition:
             layout.in_set(self.new.set_name, layout.PUBLIC), layout.CA_LIST
         )
         return _SHARED | alternative | (layout.LIST_TARGET if has_list else {})
-
-
-def _issued(
-    issuer: Issuer,
-    inspector: Inspector,
-    shared: dict[str, str],
-    name: str,
-    folder: StagedFolder,
-) -> Issued:
-    """New keys and a certificate that ends with that of the first set, and its permissions."""
-    there = inspector.keystore.folder / layout.enclave_folder(name)
-    old = inspector.certificate(name, there)
-    if old.subject_name != f"CN={name}":
-        raise _other_form(there / layout.CERTIFICATE, _renewal(inspector.keystore, name))
-    permissions, digest = None, ""
-    if not inspector.lacks_permissions(name, there):
-        document = _document(inspector.anchors, inspector.signed_permissions(name, there))
-        permissions = Permissions.from_xml(document)
-        digest = inspector.config_digest(name, there)
-        if permissions.to_xml() != document:
-            raise _other_form(there / layout.PERMISSIONS, _renewal(inspector.keystore, name))
-    keys = issuer.new_keys(folder)
-    certificate = issuer.authorities.identity.issue(
-        name,
-        keys.key,
-        alternative=keys.alternative,
-        number=issuer.number,
-        now=issuer.now,
-        validity=old.not_after - issuer.now,
-    )
-    for link, target in layout.shared_links(name, shared).items():
-        folder.link(link, target)
-    return issuer.stage(
-        folder, name, certificate, permissions, asked=old.not_after, config_digest=digest
-    )
-
-
-def _document(anchors: TrustAnchors, signed: bytes) -> bytes:
-    """The document in a signed file, with the ends of lines of our files."""
-    return anchors.signed(signed).document.replace(b"\r\n", b"\n")
-
-
-def _renewal(keystore: Keystore, name: str) -> str:
-    return f"`pqsec -k {quote(str(keystore.root))} renew {quote(name)}`"
-
-
-def _other_form(path: Path, way_out: str) -> KeystoreError:
-    """The error for what the new set could not have in the same form."""
-    return KeystoreError(
-        f"{path} has another form than pqsec writes: the sets would differ",
-        hint=way_out,
-    )
