@@ -13,6 +13,7 @@ from pqsec_pki._files import exists, read
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.smime import document_in
 
@@ -39,7 +40,7 @@ def faults_of_sets(keystore: Keystore) -> Iterator[tuple[Path, str]]:
 
 def _missing(first: Keystore, other: Keystore) -> Iterator[tuple[Path, str]]:
     places = [*_OF_ALL]
-    if first.has_revocation_list or other.has_revocation_list:
+    if not (_trusts_two(first) or _trusts_two(other)):
         places.append(_LIST)
     for name in sorted({*_names(first), *_names(other)}):
         folder = layout.enclave_folder(name)
@@ -48,6 +49,13 @@ def _missing(first: Keystore, other: Keystore) -> Iterator[tuple[Path, str]]:
         for one, beside in ((first, other), (other, first)):
             if not exists(one.folder / place) and exists(beside.folder / place):
                 yield one.folder / place, f"is missing; {beside.folder} has it"
+
+
+def _trusts_two(keystore: Keystore) -> bool:
+    """Whether the set trusts two identity CAs: it has no revocation list, which covers one."""
+    with suppress(PqsecError):
+        return Overlap.of(keystore) is not None
+    return False
 
 
 def _names(keystore: Keystore) -> list[str]:

@@ -13,7 +13,7 @@ from pqsec_pki._files import exists
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
-from pqsec_pki.errors import ExistsError, KeystoreError, PassphraseError, UsageError
+from pqsec_pki.errors import ExistsError, KeystoreError, PassphraseError
 from pqsec_pki.keystore import (
     GITIGNORE,
     WAIT,
@@ -35,10 +35,11 @@ from pqsec_pki.keystore import (
     stage_governance,
     together,
 )
-from pqsec_pki.lifecycle._ca_changes import name_start
+from pqsec_pki.lifecycle._alike import issued_alike
+from pqsec_pki.lifecycle._ca_changes import name_start, refuse_known
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer
-from pqsec_pki.lifecycle.additions import chosen, credentials_to_copy, governance_to_copy
+from pqsec_pki.lifecycle.additions import chosen, governance_to_copy
 from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
 
 _SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
@@ -92,9 +93,10 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
     start = name_start(first.identity_ca) if name is None else name
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.ROTATE)
-        refuse_overlap(first, WAIT)
+        for each in keystore.sets:
+            refuse_overlap(each, WAIT)
         new = further(profile, start, now=now, validity=validity)
-        _refuse_known_names(authorities, new)
+        refuse_known(authorities, new)
         view = replace(first, profiles=(*keystore.profiles, profile), set_name=profile.name)
         cas = together([*authorities.sets, new])
         transaction.authorities = cas
@@ -103,16 +105,6 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
         addition.stage_shared(passphrase)
         issued, left = addition.issue()
     return AddedSet(keystore=view, authorities=cas, issued=tuple(issued), left=tuple(left))
-
-
-def _refuse_known_names(authorities: Authorities, new: Authorities) -> None:
-    known = {ca.certificate.subject_der for each in authorities.sets for ca in each.all}
-    for ca in new.all:
-        if ca.certificate.subject_der in known:  # issuers are found by name
-            raise UsageError(
-                f"{ca.certificate.subject_name} is the name of another CA of this keystore",
-                hint="choose another --name",
-            )
 
 
 def _stage_settings(keystore: Keystore, transaction: Transaction) -> None:
@@ -186,18 +178,6 @@ def _issued(
     folder: StagedFolder,
 ) -> Issued:
     """New keys and a certificate that ends with that of the first set, and its permissions."""
-    old, permissions, digest = credentials_to_copy(inspector, name)
-    keys = issuer.new_keys(folder)
-    certificate = issuer.authorities.identity.issue(
-        name,
-        keys.key,
-        alternative=keys.alternative,
-        number=issuer.number,
-        now=issuer.now,
-        validity=old.not_after - issuer.now,
-    )
     for link, target in layout.shared_links(name, shared).items():
         folder.link(link, target)
-    return issuer.stage(
-        folder, name, certificate, permissions, asked=old.not_after, config_digest=digest
-    )
+    return issued_alike(issuer, inspector, name, folder)

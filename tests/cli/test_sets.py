@@ -64,7 +64,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
     "line",
     [
         "bundle /talker",
-        "ca rotate --profile pq",
         "ca show --pins",
         "ca crl --show -o x",
         "export cyclonedds /talker",
@@ -212,3 +211,48 @@ def test_migrate_plans_an_addition(pqsec, tmp_path):
     pqsec("-k k migrate plan --to hybrid,classical").refused(3, "none is removed")
     pqsec("-k k migrate plan --to classical,other").refused(2, "'other' is not one of")
     pqsec("-k k migrate plan --to pq").refused(3, "is for one set")
+
+
+# The CAs of one set
+
+
+def rotation(text):
+    return f"-k k ca rotate --apply --yes {text}"
+
+
+@pytest.mark.parametrize("name", TWO.split(","))
+def test_the_cas_of_the_named_set_are_replaced(pqsec, k, name):
+    before = {path: path.read_bytes() for path in k.rglob("public/*_ca.cert.pem")}
+    out = pqsec(rotation(f"--set {name}")).done().out
+    assert "generation 2" in out
+    changed = {path for path, data in before.items() if path.read_bytes() != data}
+    folder = k if name == "classical" else k / "sets/hybrid"
+    assert {path.parent.parent for path in changed} == {folder}
+    pqsec("-k k log --verify").done()
+    pqsec("-k k issue /new --publish x").done()
+
+
+def test_a_rotation_names_its_set(pqsec, k):
+    del k
+    pqsec(rotation("")).refused(2, "name one with --set: classical, hybrid")
+    pqsec("-k k ca rotate --set pq").refused(3, "it has classical, hybrid")
+    pqsec(rotation("--set hybrid --profile pq")).refused(2, "keeps its profile")
+    pqsec(rotation("--set hybrid --no-passphrase")).refused(2, "have one passphrase")
+
+
+def test_the_plan_of_a_rotation_says_what_stays(pqsec, k):
+    del k
+    out = pqsec("-k k ca rotate --set hybrid").done().out
+    assert "With credentials of classical nothing changes." in out
+    out = pqsec("-k k ca rotate --set hybrid --overlap begin").done().out
+    assert "pqsec ca rotate --set hybrid --overlap switch" in out
+
+
+def test_new_keys_of_one_set_get_the_passphrase_of_all(pqsec, tmp_path):
+    (tmp_path / "p").write_text("correct horse battery staple")
+    (tmp_path / "p").chmod(0o600)
+    pqsec(f"-k k ca init --profile {TWO} --passphrase-file p").done()
+    pqsec(rotation("--set hybrid --passphrase-file p")).done()
+    for path in (tmp_path / "k").rglob("*_ca.key.pem"):
+        assert "ENCRYPTED" in path.read_text()
+    pqsec("-k k issue /a --publish x --passphrase-file p").done()

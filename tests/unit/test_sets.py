@@ -31,12 +31,10 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
-    Rollover,
     add_set,
     adopt,
     changed_permissions,
     issue,
-    plan_rollover,
     renew,
     renew_list,
     revoke,
@@ -480,12 +478,6 @@ def test_requests_wait_for_a_way_to_ask_for_all_sets(keystore):
     asked = replace(spec("/talker"), keys=PublicKeys(key, None))
     with pytest.raises(KeystoreError, match="further sets of credentials"):
         issue(keystore, keystore.unlock(None), [asked], now=NOW)
-
-
-def test_cas_of_several_sets_are_not_replaced_yet(keystore):
-    terms = Rollover(profile=HYBRID, validity=900 * DAY)
-    with pytest.raises(KeystoreError, match="further sets of credentials"):
-        plan_rollover(keystore, terms, now=NOW)
 
 
 # What is missing is a fault, and nothing is concluded from what lies there
