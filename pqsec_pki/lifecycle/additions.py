@@ -17,6 +17,7 @@ from pqsec_pki.lifecycle._alike import credentials_to_copy, document_of, other_f
 from pqsec_pki.lifecycle._inspector import Inspector
 
 NEEDS_REQUEST = "its key is not here: it needs a request with a key of each set"
+_ELSEWHERE = "its files are on another machine with this ledger"
 _NOT_CURRENT = "its certificate has ended, or was issued by a CA that has been replaced"
 
 
@@ -48,7 +49,9 @@ def addable(keystore: Keystore, *, now: datetime) -> Addable:
 
 def chosen(inspector: Inspector, now: datetime) -> Addable:
     """Who gets credentials, by the ledger; nothing is looked for that is in the way."""
-    names = [each for each in inspector.keystore.names() if each in inspector.participants]
+    first = inspector.keystore
+    there = [*first.names(), *first.elsewhere(inspector.participants)]
+    names = [each for each in there if each in inspector.participants]
     names = [each for each in names if not inspector.participants[each].revoked]
     left = {name: why for name in names if (why := _why_left(inspector, name, now))}
     issued = tuple(name for name in names if name not in left)
@@ -58,7 +61,7 @@ def chosen(inspector: Inspector, now: datetime) -> Addable:
 def _why_left(inspector: Inspector, name: str, now: datetime) -> str:
     known = inspector.participants[name]
     if not inspector.keystore.has_key(name):
-        return NEEDS_REQUEST
+        return NEEDS_REQUEST if inspector.keystore.has(name) else _ELSEWHERE
     is_current = not known.issued_by_previous_ca and known.not_after > now
     return "" if is_current else _NOT_CURRENT
 
