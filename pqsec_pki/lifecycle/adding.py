@@ -72,13 +72,12 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
 
     The CAs are named `name` [default: as those of the first set], and the profile's name. Their
     keys are encrypted under `passphrase`. ExistsError if there is such a set; KeystoreError while
-    two identity CAs are trusted, with a ledger in a database, and for a document or a subject that
-    pqsec would write otherwise; UsageError if a CA would have the name of another.
+    two identity CAs are trusted, and for a document or a subject that pqsec would write otherwise;
+    UsageError if a CA would have the name of another. Other machines with this ledger refuse to
+    work until they have the new set's CAs.
     """
     if profile.name in {each.name for each in keystore.profiles}:
         raise ExistsError(f"the keystore has a set of profile {profile.name} already")
-    if keystore.ledger_address:
-        raise KeystoreError("a ledger in a database is for a keystore with one profile")
     there = keystore.root / layout.in_set(profile.name, "")
     if exists(there, follow=False):
         raise ExistsError(
@@ -114,7 +113,8 @@ def _refuse_known_names(authorities: Authorities, new: Authorities) -> None:
 
 def _stage_settings(keystore: Keystore, transaction: Transaction) -> None:
     beside = transaction.folder(".", private=False)
-    beside.public(layout.SETTINGS, settings_file(keystore.profiles, keystore.domains))
+    settings = settings_file(keystore.profiles, keystore.domains, keystore.ledger_address)
+    beside.public(layout.SETTINGS, settings)
     if exists(keystore.root / GITIGNORE, follow=False):
         beside.public(GITIGNORE, keystore_ignored(keystore.root))
 
@@ -162,7 +162,8 @@ class _Addition:
     def issue(self) -> tuple[list[Issued], list[str]]:
         """Issue the participants whose keys are here; and the names of the others."""
         inspector = Inspector.of(self.first, self.ledger, now=self.now)
-        names = [each for each in self.first.names() if each in inspector.participants]
+        there = [*self.first.names(), *self.first.elsewhere(inspector.participants)]
+        names = [each for each in there if each in inspector.participants]
         names = [each for each in names if not inspector.participants[each].revoked]
         chosen = [each for each in names if self._can_be_issued(inspector, each)]
         folders = [self.part.folder(layout.enclave_folder(name), private=True) for name in chosen]
