@@ -28,7 +28,6 @@ from pqsec_pki.errors import (
     InterruptedChangeError,
     KeystoreError,
     MissingError,
-    UsageError,
     located,
     shown,
 )
@@ -108,8 +107,6 @@ class Keystore:
         """
         cls.refuse_occupied(root)
         refuse_without_links(root, "a keystore", hard=True)
-        if ledger and len(profiles) > 1:
-            raise UsageError("a ledger in a database is for a keystore with one profile")
         settings = _settings.settings_file(profiles, domains, ledger)
         made = cls(root, profiles, domains, to_change=True)
         authorities = created(profiles, name, now=now, validity=validity, keys=keys)

@@ -13,7 +13,7 @@ from pqsec_pki._files import exists
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
-from pqsec_pki.errors import ExistsError, KeystoreError, PassphraseError
+from pqsec_pki.errors import ExistsError, PassphraseError
 from pqsec_pki.keystore import (
     GITIGNORE,
     WAIT,
@@ -73,14 +73,13 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
 
     The CAs are named `name` [default: as those of the first set], and the profile's name. Their
     keys are encrypted under `passphrase`; PassphraseError without one if those of the other CAs are
-    encrypted. ExistsError if there is such a set; KeystoreError while
-    two identity CAs are trusted, with a ledger in a database, and for a document or a subject that
-    pqsec would write otherwise; UsageError if a CA would have the name of another.
+    encrypted. ExistsError if there is such a set; KeystoreError while two identity CAs are trusted,
+    and for a document or a subject that pqsec would write otherwise; UsageError if a CA would have
+    the name of another. Other machines with this ledger refuse to work until they have the new
+    set's CAs.
     """
     if profile.name in {each.name for each in keystore.profiles}:
         raise ExistsError(f"the keystore has a set of profile {profile.name} already")
-    if keystore.ledger_address:
-        raise KeystoreError("a ledger in a database is for a keystore with one profile")
     if passphrase is None and keystore.is_locked():
         raise PassphraseError("the keys of the new CAs would not be encrypted, as the others are")
     there = keystore.root / layout.in_set(profile.name, "")
@@ -109,7 +108,8 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
 
 def _stage_settings(keystore: Keystore, transaction: Transaction) -> None:
     beside = transaction.folder(".", private=False)
-    beside.public(layout.SETTINGS, settings_file(keystore.profiles, keystore.domains))
+    settings = settings_file(keystore.profiles, keystore.domains, keystore.ledger_address)
+    beside.public(layout.SETTINGS, settings)
     if exists(keystore.root / GITIGNORE, follow=False):
         beside.public(GITIGNORE, keystore_ignored(keystore.root))
 

@@ -34,10 +34,6 @@ def test_init_makes_a_set_for_each_profile(pqsec, tmp_path):
         ("--profile classical,", "'' is not one of"),
         ("--profile classical,hybrid,classical", "profile classical is given twice"),
         ("--profile classical,pq --kem mlkem768", "are for a keystore with one profile"),
-        (
-            "--profile classical,pq --ledger postgresql://u@h/d",
-            "a ledger in a database is for a keystore with one profile",
-        ),
     ],
 )
 def test_lists_of_profiles_that_cannot_be_are_usage_errors(pqsec, tmp_path, options, words):
@@ -67,7 +63,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
         "ca show --pins",
         "ca crl --show -o x",
         "export cyclonedds /talker",
-        "ledger move postgresql://u@h/d",
         "report -o x",
         "estimate",
         "receipt import x",
