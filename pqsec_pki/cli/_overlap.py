@@ -16,13 +16,13 @@ _PINS = "where bundles are installed, name the CAs that are trusted now: `pqsec 
 _ROBOTS = {
     OverlapStep.BEGIN: (
         *(_COPY, _PINS),
-        "when all robots have it, `pqsec ca rotate --overlap switch`",
+        "when all robots have it, `{rotate} --overlap switch`",
     ),
-    OverlapStep.SWITCH: (_COPY, "when all robots have it, `pqsec ca rotate --overlap finish`"),
+    OverlapStep.SWITCH: (_COPY, "when all robots have it, `{rotate} --overlap finish`"),
     OverlapStep.FINISH: (_COPY, _PINS),
     OverlapStep.CANCEL: (_COPY, _PINS),
 }
-"""Step -> what the operator does next."""
+"""Step -> what the operator does next; `{rotate}` is the command for this set of credentials."""
 _ISSUING_OPTIONS = frozenset({"name", "validity", "rekey", "destroy", "no_passphrase"})
 _ACCEPTED = {
     OverlapStep.BEGIN: frozenset({"name", "validity"}),
@@ -39,12 +39,16 @@ def refuse_options(step: OverlapStep) -> None:
         raise UsageError(f"{', '.join(given)} does not go with --overlap {step}")
 
 
+def _robots(step: OverlapStep, plan: RolloverPlan) -> list[str]:
+    return [each.format(rotate=plan.rotate) for each in _ROBOTS[step]]
+
+
 def show(step: OverlapStep, plan: RolloverPlan) -> None:
     """Print the plan of the step."""
     value = {
         "overlap": step.value,
         "steps": plan.steps,
-        "robots": _ROBOTS[step],
+        "robots": _robots(step, plan),
         "trust": TRUST,
     }
     _printing.emit(value, _lines(step, plan))
@@ -54,7 +58,7 @@ def _lines(step: OverlapStep, plan: RolloverPlan) -> Iterator[str]:
     yield f"`--overlap {step} --apply` makes these changes, all or none:"
     yield from _printing.numbered(plan.steps)
     yield from ("", "Then you:")
-    yield from _printing.numbered(_ROBOTS[step])
+    yield from _printing.numbered(_robots(step, plan))
     yield from ("", "Stacks that trust both CAs during the overlap (docs/how-to/rollover.md):")
     yield from (f"  {row.stack}: {row.how or f'no ({row.evidence})'}" for row in TRUST)
 
@@ -62,8 +66,9 @@ def _lines(step: OverlapStep, plan: RolloverPlan) -> Iterator[str]:
 def print_done(step: OverlapStep, result: RolloverResult) -> None:
     """Print what the step did, and what the operator does next."""
     done = list(_done(step, result))
-    value: dict[str, Any] = {"overlap": step.value, "done": done, "robots": _ROBOTS[step]}
-    _printing.emit(value, [*done, *(f"next: {each}" for each in _ROBOTS[step])])
+    robots = _robots(step, result.plan)
+    value: dict[str, Any] = {"overlap": step.value, "done": done, "robots": robots}
+    _printing.emit(value, [*done, *(f"next: {each}" for each in robots)])
 
 
 def _done(step: OverlapStep, result: RolloverResult) -> Iterator[str]:
@@ -84,3 +89,5 @@ def _done(step: OverlapStep, result: RolloverResult) -> Iterator[str]:
             yield f"{other} is no longer trusted"
         case OverlapStep.CANCEL:
             yield f"{other} is no longer trusted, and its key is destroyed"
+    if step in {OverlapStep.FINISH, OverlapStep.CANCEL} and plan.new_list:
+        yield "an empty revocation list was issued"

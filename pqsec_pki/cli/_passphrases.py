@@ -3,6 +3,7 @@
 import os
 import stat
 import sys
+from collections.abc import Collection
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -79,9 +80,18 @@ def unlock(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa"
     return unlocked(keystore, of_cas(keystore, passphrase_file, *cas), *cas)
 
 
-def unlocked(keystore: "Keystore", passphrase: bytes | None, *cas: "SigningCa") -> "Authorities":
-    """Those CAs, unlocked with `passphrase`; they compare the clock, but for --accept-clock."""
-    return replace(keystore.unlock(passphrase, pin, cas), compares_clock=compares_clock())
+def unlocked(
+    keystore: "Keystore",
+    passphrase: bytes | None,
+    *cas: "SigningCa",
+    without: Collection[str] = (),
+) -> "Authorities":
+    """Those CAs, unlocked with `passphrase`; they compare the clock, but for --accept-clock.
+
+    The keys of the sets of credentials called `without` are not read.
+    """
+    found = keystore.unlock(passphrase, pin, cas, without=without)
+    return replace(found, compares_clock=compares_clock())
 
 
 def compares_clock() -> bool:
@@ -110,9 +120,17 @@ def unlock_with_signers(
         return unlocked(keystore, passphrase, needed)
 
 
-def of_cas(keystore: "Keystore", passphrase_file: Path | None, *cas: "SigningCa") -> bytes | None:
-    """The passphrase of the keys of `cas`, or of all CAs; None if they are not encrypted."""
-    if not keystore.is_locked(cas):
+def of_cas(
+    keystore: "Keystore",
+    passphrase_file: Path | None,
+    *cas: "SigningCa",
+    without: Collection[str] = (),
+) -> bytes | None:
+    """The passphrase of the keys of `cas`, or of all CAs; None if they are not encrypted.
+
+    Those of the sets of credentials called `without` are not read.
+    """
+    if not keystore.is_locked(cas, without=without):
         return None
     if passphrase_file:
         return first_line(passphrase_file)

@@ -25,13 +25,7 @@ from pqsec_pki.domain import KINDS, CommandReview, Desired, read_domain, rights_
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import GROUP, Keystore, key_hashes
-from pqsec_pki.lifecycle import (
-    ParticipantSpec,
-    addable,
-    changed_protection,
-    plan_rollover,
-    revocable,
-)
+from pqsec_pki.lifecycle import ParticipantSpec, addable, changed_protection, revocable
 
 _ANY = "/NAME"
 _AT_APPLY = ("passphrase_file", "no_passphrase")
@@ -142,9 +136,9 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
                 until = said(each.ends)
                 yield _change(each.name, f"revoked: serial number {each.serial}, until {until}")
         case "ca rotate":
-            from pqsec_pki.cli.rotate import terms_of  # noqa: PLC0415 -- only here
+            from pqsec_pki.cli.rotate import steps_of  # noqa: PLC0415 -- only here
 
-            steps = plan_rollover(keystore, terms_of(keystore, params), now=now).steps
+            steps = steps_of(keystore, params)
             root = f"{keystore.root}/"
             yield ChangedRights((), tuple(step.replace(root, "") for step in steps))
         case "ca add-set":

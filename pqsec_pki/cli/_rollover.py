@@ -77,6 +77,8 @@ def _breaks(plan: RolloverPlan) -> Iterator[str]:
         "Participants with old files and participants with new files refuse each other, from the"
         " first robot that restarts with new files until the last."
     )
+    if plan.others:
+        yield f"With credentials of {', '.join(plan.others)} nothing changes."
     yield "Running participants continue until they restart; DDS cannot notify them."
     before, after = plan.before, plan.terms.profile
     if before.name != after.name:

@@ -41,6 +41,12 @@ from pqsec_pki.lifecycle import (
 )
 @click.option("--plan", is_flag=True, help="Show what would be done and what breaks.  [default]")
 @click.option("--apply", "do", is_flag=True, help="Replace the CAs.")
+@click.option(
+    "--set",
+    "set_name",
+    metavar="PROFILE",
+    help="Replace the CAs of the credentials of this profile, if the keystore has several sets.",
+)
 @click.option("--yes", is_flag=True, help="With --apply: do not ask for confirmation.")
 @click.option(
     "--profile",
@@ -96,13 +102,17 @@ def rotate(
     Participants keep their rights, and their keys unless the profile needs another kind.
     The passphrase of the old CAs is needed only with --only or --overlap.
 
+    Of several sets of credentials, one is changed at a time, and the files of the others stay as
+    they are. Its participants keep the ends of their certificates, and its new CA keys get the
+    passphrase of the others.
+
     With --overlap, robots change to a new identity CA one after the other, if their stack
     can trust two. The steps are begin, switch and finish; copy the files to the robots
     after each step.
     """
     if plan and do:
         raise UsageError("--plan and --apply exclude each other")
-    keystore = _settings.open_keystore(to_change=do)
+    keystore = _chosen(_settings.open_keystore(to_change=do), asked.pop("set_name"))
     if do:
         keystore.refuse_unapproved(Covered.ROTATE)
     terms = _terms(keystore, **asked)
@@ -119,12 +129,24 @@ def rotate(
     _apply(keystore, planned, passphrase_file, no_passphrase=no_passphrase, confirmed=asks)
 
 
-_OWN = {"plan", "do", "yes", "no_passphrase", "passphrase_file"}
+_OWN = {"plan", "do", "yes", "no_passphrase", "passphrase_file", "set_name"}
 
 
-def terms_of(keystore: Keystore, params: Mapping[str, Any]) -> Rollover:
-    """What these values of the command's options ask for."""
-    return _terms(keystore, **{key: params[key] for key in params.keys() - _OWN})
+def steps_of(keystore: Keystore, params: Mapping[str, Any]) -> tuple[str, ...]:
+    """What the command does with these values of its options; errors as of `plan_rollover`."""
+    chosen = _chosen(keystore, params["set_name"])
+    terms = _terms(chosen, **{key: params[key] for key in params.keys() - _OWN})
+    return plan_rollover(chosen, terms, now=_settings.now()).steps
+
+
+def _chosen(keystore: Keystore, profile: str | None) -> Keystore:
+    """The set of that profile; UsageError if none is named, and there are several."""
+    if profile:
+        return keystore.of_profile(profile)
+    if len(keystore.profiles) > 1:
+        names = ", ".join(each.name for each in keystore.profiles)
+        raise UsageError(f"the keystore has several sets: name one with --set: {names}")
+    return keystore
 
 
 def _terms(
@@ -191,12 +213,18 @@ def _apply(
     terms, uris = plan.terms, _key_uris.given()
     kept, passphrase = None, None
     refuse_keys_in_files(keystore, terms, uris)
-    if terms.needs_old_cas:
-        passphrase = _passphrases.of_cas(keystore, passphrase_file)
-        kept = _passphrases.unlocked(keystore, passphrase)
+    if no_passphrase and plan.others:
+        raise UsageError(
+            "the keys of all sets of credentials have one passphrase",
+            hint="leave out --no-passphrase; `pqsec ca passphrase` changes it",
+        )
+    if plan.needs_old_cas or plan.needs_other_sets:
+        without = () if plan.needs_old_cas else (plan.set_name,)
+        passphrase = _passphrases.of_cas(keystore, passphrase_file, without=without)
+        kept = _passphrases.unlocked(keystore, passphrase, without=without)
     with _key_uris.keys(terms.profile, uris, terms.new_keys) as keys:
-        # the keys of an overlap have the passphrase of the old ones
-        if not terms.overlap and len(keys) < len(key_algorithms(terms.profile)):
+        # the keys of an overlap, and of one of several sets, have the passphrase of those that stay
+        if not (terms.overlap or plan.others) and len(keys) < len(key_algorithms(terms.profile)):
             passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
         with keystore.hold():
             done = apply_rollover(

@@ -21,8 +21,11 @@ START = "0" * 64
 """The chain value before the first line."""
 SET = "set"
 """The detail with the name of the set of credentials; lines of the first set have none."""
+SET_END = "set-end"
+"""The kind of the line with which a set of credentials ends."""
 OF_A_SET = frozenset(
     {
+        SET_END,
         *("identity-ca", "permissions-ca", "trust", "trust-end", "participant", "permissions"),
         *("governance", "crl", "revocation", "compromise"),
     }

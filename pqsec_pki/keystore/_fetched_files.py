@@ -28,29 +28,35 @@ XML = {layout.PERMISSIONS: layout.PERMISSIONS_XML, layout.GOVERNANCE: layout.GOV
 
 
 def newer_elsewhere(transaction: Transaction) -> dict[LedgerFile, bytes]:
-    """The governance and the list, if another machine wrote newer ones; KeystoreError as below.
+    """The governance and the list of each set, if another machine wrote newer ones.
 
-    Not what the database does not keep: `current_files` refuses to use the older file.
+    Those of all sets or of none: not if the database does not keep one of them, and then
+    `current_files` refuses to use the older file. KeystoreError as below.
     """
     if transaction.database is None:
         return {}
+    root, wanted = Path(transaction.root.path), list[LedgerFile]()
     with Ledger(transaction.database) as ledger:
-        wanted = shared_elsewhere(Path(transaction.root.path), ledger)
-    return transaction.kept(wanted)
+        for name in set_names(root):
+            wanted += shared_elsewhere(root / layout.in_set(name, ""), ledger.of(name))
+    kept = transaction.kept(wanted)
+    lost = {each.kind for each in wanted if each not in kept}
+    return {each: data for each, data in kept.items() if each.kind not in lost}
 
 
 def stage(transaction: Transaction, files: dict[LedgerFile, bytes]) -> None:
     """Stage these files, and what belongs to them; KeystoreError if a CA here did not sign one."""
-    root = Path(transaction.root.path)
     for each, data in files.items():
-        staged = transaction.folder(each.folder, private=False)
+        part = transaction.of(each.set_name)
+        folder = Path(transaction.root.path) / layout.in_set(each.set_name, "")
+        staged = part.folder(each.folder, private=False)
         staged.public(each.file, data)
         if each.file == layout.CA_LIST:
-            _refuse_foreign_list(root, data)
-            for place, target in layout.missing_list_links(root):
-                transaction.link(place, target)
+            _refuse_foreign_list(folder, data)
+            for place, target in layout.missing_list_links(folder):
+                part.link(place, target)
         else:
-            staged.public(XML[each.file], signed_document(root, each.folder, data))
+            staged.public(XML[each.file], signed_document(folder, each.folder, data))
 
 
 def refuse_older_files(transaction: Transaction) -> None:
@@ -79,9 +85,12 @@ def _refuse_older_files(transaction: Transaction, ledger: Ledger) -> None:
             )
 
 
-def signed_document(root: Path, folder: str, signed: bytes) -> bytes:
-    """The document in a signed file of another machine; KeystoreError if the CA did not sign it."""
-    public = root / layout.PUBLIC
+def signed_document(set_folder: Path, folder: str, signed: bytes) -> bytes:
+    """The document in a signed file of another machine; KeystoreError if the CA did not sign it.
+
+    The CA is that of the set in `set_folder`.
+    """
+    public = set_folder / layout.PUBLIC
     second = public / layout.PERMISSIONS_ALT_CA
     counter = load_first_certificate(second) if exists(second) else None
     ca = load_first_certificate(public / layout.PERMISSIONS_CA)
@@ -92,9 +101,9 @@ def signed_document(root: Path, folder: str, signed: bytes) -> bytes:
     return found.replace(b"\r\n", b"\n")  # S/MIME has other ends of lines than our files
 
 
-def _refuse_foreign_list(root: Path, data: bytes) -> None:
+def _refuse_foreign_list(set_folder: Path, data: bytes) -> None:
     try:
-        ca = load_first_certificate(root / layout.PUBLIC / layout.IDENTITY_CA)
+        ca = load_first_certificate(set_folder / layout.PUBLIC / layout.IDENTITY_CA)
         only_list(data, layout.CA_LIST).verify(ca)
     except PqsecError as error:
         raise _refused(layout.PUBLIC, error) from None

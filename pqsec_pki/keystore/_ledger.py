@@ -9,12 +9,14 @@ from typing import Any, Self, TypeAlias
 
 from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import _copies, _table, layout
-from pqsec_pki.keystore._chain import OF_A_SET, SET, Entry, Line
+from pqsec_pki.keystore._chain import OF_A_SET, SET, SET_END, Entry, Line
 from pqsec_pki.keystore._store import MAX_TEXT, LedgerStore
 
 _DETAIL = "CASE WHEN json_valid(details) THEN json_extract(details, '$.{}') END"
-_OWN = f" AND ifnull({_DETAIL.format(SET)}, '') = :set"
-"""Of the set that is asked about: the lines of the first set do not name it."""
+_SET = f"ifnull({_DETAIL.format(SET)}, '')"
+"""The set that a line is about: the lines of the first set do not name it."""
+_OWN = f" AND {_SET} = :set AND number > :since"
+"""Of the set that is asked about, and not of an earlier one with its name, which was removed."""
 _PARTICIPANTS = (  # beside max(), SQLite takes the other columns from the row that has it
     "WITH certified AS (SELECT max(number) AS number, name, sha256, at,"  # noqa: S608 -- no outside text
     " ifnull(not_after, '') AS not_after, ifnull(serial, '') AS serial,"
@@ -49,7 +51,7 @@ _KEYS_AFTER = (
 )
 """The + keeps SQLite from the index of kinds, so that only the lines after that one are read."""
 _CERTIFIED = (
-    f"SELECT key, name, ifnull({_DETAIL.format(SET)}, ''), sha256"  # noqa: S608 -- see above
+    f"SELECT key, name, {_SET}, sha256"  # noqa: S608 -- see above
     " FROM temp.certified JOIN ledger USING (number)"
     " WHERE key IN (SELECT value FROM json_each(?)) AND not_after >= ? ORDER BY number"
 )
@@ -63,6 +65,12 @@ _REPLACED = (
 )
 
 
+_ENDED = f"SELECT ifnull(max(number), 0) FROM ledger WHERE kind = '{SET_END}' AND {_SET} = ?"  # noqa: S608 -- no outside text
+_SETS = (
+    f"SELECT {_SET} AS own FROM ledger WHERE kind IN ('identity-ca', '{SET_END}')"  # noqa: S608 -- see above
+    f" GROUP BY own HAVING max(CASE kind WHEN '{SET_END}' THEN number ELSE 0 END)"
+    " < max(CASE kind WHEN 'identity-ca' THEN number ELSE 0 END)"
+)
 _SIZE = "SELECT page_count * page_size FROM pragma_page_count, pragma_page_size"
 Row: TypeAlias = tuple[int, str, str, str, str]
 """Number, kind, name, SHA-256 and chain value of a line."""
@@ -225,7 +233,7 @@ class Ledger:
         """The number of lines of that kind and name."""
         return self._number(
             f"SELECT count(*) FROM ledger WHERE {self._condition([kind])} AND name = :name",  # noqa: S608 -- no outside text
-            {"kind0": kind, "name": name, "set": self.set_name},
+            {"kind0": kind, "name": name, **self._about},
         )
 
     def line_of(self, kinds: Collection[str], sha256: str) -> int:
@@ -252,14 +260,14 @@ class Ledger:
         own = self._condition([kind])
         return self._find(
             f"number IN (SELECT max(number) FROM ledger WHERE {own} GROUP BY name)",  # noqa: S608 -- no outside text
-            {"kind0": kind, "set": self.set_name},
+            {"kind0": kind, **self._about},
         )
 
     def replaced(self, at: str) -> list[tuple[int, Entry]]:
         """The certificates that end at `at` or later and were not revoked, of participants that
         got another one since, with the numbers of their lines; oldest first."""
         with self._errors():
-            rows = self._database.execute(_REPLACED, {"at": at, "set": self.set_name})
+            rows = self._database.execute(_REPLACED, {"at": at, **self._about})
             return [(number, _table.entry(row)) for number, *row in rows]
 
     def revoked_for(self, reason: str) -> list[Entry]:
@@ -297,7 +305,7 @@ class Ledger:
         """
         query = _PARTICIPANTS.replace("{chosen}", "" if names is None else _CHOSEN)
         with self._errors():
-            chosen = {"names": json.dumps(list(names or ())), "set": self.set_name}
+            chosen = {"names": json.dumps(list(names or ())), **self._about}
             yield from self._database.execute(query, chosen)
 
     def numbers(self, kind: str) -> dict[str, int]:
@@ -305,37 +313,39 @@ class Ledger:
         with self._errors():
             rows = self._database.execute(
                 f"SELECT sha256, number FROM ledger WHERE {self._condition([kind])}",  # noqa: S608 -- no outside text
-                {"kind0": kind, "set": self.set_name},
+                {"kind0": kind, **self._about},
             )
             return dict(rows.fetchall())
 
     def sets(self) -> set[str]:
-        """The names of the sets of credentials that have CAs."""
+        """The names of the sets of credentials that have CAs, and were not removed since."""
         with self._errors():
-            rows = self._database.execute(
-                f"SELECT DISTINCT ifnull({_DETAIL.format(SET)}, '') FROM ledger"  # noqa: S608 -- no outside text
-                " WHERE kind = 'identity-ca'"
-            )
-            return {str(each) for (each,) in rows}
+            return {str(each) for (each,) in self._database.execute(_SETS)}
 
     def _own(self, kinds: Sequence[str], others: str, **values: str) -> list[Entry]:
         """The entries of these kinds, of this set if they are of one, and of `others`."""
         numbered = {f"kind{number}": each for number, each in enumerate(kinds)}
         return self._find(
-            f"{self._condition(kinds)} {others}", {**numbered, **values, "set": self.set_name}
+            f"{self._condition(kinds)} {others}", {**numbered, **values, **self._about}
         )
+
+    @property
+    def _about(self) -> dict[str, Any]:
+        """The values of `_OWN`: the set, and the line that ended an earlier one of its name."""
+        ended = self._number(_ENDED, (self.set_name,)) if self.set_name else 0
+        return {"set": self.set_name, "since": ended}
 
     @staticmethod
     def _condition(kinds: Sequence[str]) -> str:
         marks = ", ".join(f":kind{number}" for number in range(len(kinds)))
         return f"kind IN ({marks}){'' if OF_A_SET.isdisjoint(kinds) else _OWN}"
 
-    def _number(self, query: str, values: Sequence[str] | Mapping[str, str] = ()) -> int:
+    def _number(self, query: str, values: Sequence[str] | Mapping[str, Any] = ()) -> int:
         with self._errors():
             found: int = self._database.execute(query, values).fetchone()[0]
             return found
 
-    def _find(self, condition: str, values: Sequence[str] | Mapping[str, str]) -> list[Entry]:
+    def _find(self, condition: str, values: Sequence[str] | Mapping[str, Any]) -> list[Entry]:
         with self._errors():
             rows = self._database.execute(
                 f"SELECT {_table.COLUMNS} FROM ledger WHERE {condition}",  # noqa: S608

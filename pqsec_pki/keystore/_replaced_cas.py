@@ -11,23 +11,31 @@ from pqsec_pki.errors import KeystoreError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
+from pqsec_pki.keystore._settings import set_names
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore._store import LedgerStore
 
 
 def refuse_replaced(root: Path, store: "LedgerStore") -> None:
-    """KeystoreError if another machine replaced a CA, or changed which identity CAs are trusted."""
+    """KeystoreError if another machine replaced a CA, or changed which identity CAs are trusted,
+    in any set of the keystore at `root`."""
     with Ledger(store) as ledger:
-        identity = identity_cas(ledger)
-        signers = ledger.of_kind("permissions-ca")
+        for name in set_names(root):
+            _refuse_replaced(root / layout.in_set(name, ""), ledger.of(name))
+
+
+def _refuse_replaced(folder: Path, ledger: Ledger) -> None:
+    """As above, of the set in `folder`, about which the ledger answers."""
+    identity = identity_cas(ledger)
+    signers = ledger.of_kind("permissions-ca")
     newest = {each.sha256 for each in signers if each.at == signers[-1].at}
     if not (
-        _certificates(root, layout.IDENTITY_CA)[: len(identity)] == identity
-        and newest.issuperset(_certificates(root, layout.PERMISSIONS_CA)[: len(newest)])
+        _certificates(folder, layout.IDENTITY_CA)[: len(identity)] == identity
+        and newest.issuperset(_certificates(folder, layout.PERMISSIONS_CA)[: len(newest)])
     ):
         raise KeystoreError(
-            f"{root}: the CAs are not those of the ledger: another machine changed them",
+            f"{folder}: the CAs are not those of the ledger: another machine changed them",
             hint="copy public/ and private/ from the machine where `pqsec ca rotate` ran:"
             " docs/how-to/postgresql.md",
         )
@@ -70,7 +78,7 @@ def _identity_cas(lines: Iterable[Entry]) -> list[str]:
     return trusted
 
 
-def _certificates(root: Path, name: str) -> list[str]:
+def _certificates(folder: Path, name: str) -> list[str]:
     return [
-        each.fingerprint for each in Certificate.all_from_pem(read(root / layout.PUBLIC / name))
+        each.fingerprint for each in Certificate.all_from_pem(read(folder / layout.PUBLIC / name))
     ]

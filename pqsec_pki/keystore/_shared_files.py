@@ -32,8 +32,10 @@ _KEPT = (layout.CERTIFICATE, layout.PERMISSIONS, layout.GOVERNANCE, layout.CA_LI
 class LedgerFile:
     """A file of the keystore, as a line of the ledger has it."""
 
+    set_name: str
+    """The set whose file it is."""
     folder: str
-    """Relative to the keystore."""
+    """Relative to the folder of the set."""
     file: str
     sha256: str
     kind: str
@@ -48,12 +50,12 @@ class LedgerFile:
         """Whether it is a signed document."""
         return self.file in {layout.GOVERNANCE, layout.PERMISSIONS}
 
-    def is_newer(self, root: Path, numbers: Callable[[], Mapping[str, int]]) -> bool:
-        """Whether the keystore at `root` lacks it, or has one of an earlier line.
+    def is_newer(self, set_folder: Path, numbers: Callable[[], Mapping[str, int]]) -> bool:
+        """Whether the set in `set_folder` lacks it, or has one of an earlier line.
 
         `numbers` are those of the lines of that kind, by SHA-256. A file without a line stays.
         """
-        path = root / self.folder / self.file
+        path = set_folder / self.folder / self.file
         if not exists(path):
             return True
         here = digest_of(self.file, read(path)) or ""
@@ -69,23 +71,32 @@ class LedgerFile:
 
 
 def files_elsewhere(keystore: "Keystore", ledger: Ledger, names: Iterable[str]) -> list[LedgerFile]:
-    """Shared files, and files of these participants, that another machine wrote since.
+    """Shared files, and files of these participants, that another machine wrote since, in all sets.
 
     Not of participants whose keys pqsec made: their files stay where their keys are.
     """
     if keystore.ledger_address is None:
         return []
-    own = (each for name in names for each in newest_of(ledger, name) if not each.stays)
-    return _newer(keystore.folder, ledger, [*newest_of_all(ledger), *own])
+    asked, found = list(names), list[LedgerFile]()
+    for view in keystore.sets:
+        own = ledger.of(view.set_name)
+        theirs = [each for name in asked for each in newest_of(own, name) if not each.stays]
+        found += _newer(view.folder, own, [*newest_of_all(own), *theirs])
+    return found
 
 
-def shared_elsewhere(root: Path, ledger: Ledger) -> list[LedgerFile]:
-    """The files for all participants that another machine wrote since."""
-    return _newer(root, ledger, newest_of_all(ledger))
+def shared_elsewhere(set_folder: Path, ledger: Ledger) -> list[LedgerFile]:
+    """The files for all participants of a set that another machine wrote since.
+
+    `ledger` answers about that set.
+    """
+    return _newer(set_folder, ledger, newest_of_all(ledger))
 
 
-def _newer(root: Path, ledger: Ledger, newest: Iterable[LedgerFile]) -> list[LedgerFile]:
-    return [each for each in newest if each.is_newer(root, partial(ledger.numbers, each.kind))]
+def _newer(set_folder: Path, ledger: Ledger, newest: Iterable[LedgerFile]) -> list[LedgerFile]:
+    return [
+        each for each in newest if each.is_newer(set_folder, partial(ledger.numbers, each.kind))
+    ]
 
 
 def newest_of_all(ledger: Ledger) -> list[LedgerFile]:
@@ -108,7 +119,9 @@ def newest_list(ledger: Ledger) -> LedgerFile | None:
     issuing, begun = identity_cas(ledger)[:1], max(ledger.numbers("trust").values(), default=0)
     for each in [each for each in ledger.of_kind("crl") if each.issuer in issuing][-1:]:
         if ledger.line_of(("crl",), each.sha256) > begun:
-            return LedgerFile(layout.PUBLIC, layout.CA_LIST, each.sha256, each.kind)
+            return LedgerFile(
+                ledger.set_name, layout.PUBLIC, layout.CA_LIST, each.sha256, each.kind
+            )
     return None
 
 
@@ -127,7 +140,13 @@ def newest_of(
     folder = layout.enclave_folder(name)
     for each in lines[-1:]:
         yield LedgerFile(
-            folder, layout.CERTIFICATE, each.sha256, "participant", name, stays=not asked
+            ledger.set_name,
+            folder,
+            layout.CERTIFICATE,
+            each.sha256,
+            "participant",
+            name,
+            stays=not asked,
         )
     named, by_hand = ledger.of_name("permissions", name), placed.get(folder)
     signed = [*named[-1:], by_hand] if lines else []
@@ -149,7 +168,7 @@ def _newest_document(  # noqa: PLR0913, PLR0917 -- what a file of the ledger has
     if not numbered:
         return None
     _, newest = max(numbered, key=itemgetter(0))
-    return LedgerFile(folder, file, newest.sha256, newest.kind, name, stays)
+    return LedgerFile(ledger.set_name, folder, file, newest.sha256, newest.kind, name, stays)
 
 
 def digest_of(file: str, data: bytes) -> str | None:

@@ -23,7 +23,7 @@ from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._set_change import SetChange
 from pqsec_pki.keystore._shared_files import LedgerFile, recorded_files
 from pqsec_pki.keystore._store import MAX_DETAILS
-from pqsec_pki.keystore.heads import extended
+from pqsec_pki.keystore.heads import extended, other_sets
 from pqsec_pki.keystore.signing_clock import refuse_wrong_clock
 
 if TYPE_CHECKING:
@@ -199,10 +199,17 @@ class Transaction:
                 public.public(name, data)
 
     def take_over(self, ledger: Ledger) -> bool:
-        """Put the lines of `ledger` into the database; False if that has newer ones too."""
+        """Put the lines of `ledger` into the database; False if that has newer ones too.
+
+        KeystoreError if these are about a set of credentials that is not here.
+        """
         if self.database is None:
             raise ValueError("the ledger is not for a database")
-        return _moved_ledger.take_over(self.database, ledger)
+        is_whole = _moved_ledger.take_over(self.database, ledger)
+        with Ledger(self.database) as there:
+            if wrong := other_sets(Path(self.root.path), there):
+                raise wrong
+        return is_whole
 
     def stage_ledger_file(self) -> None:
         """Stage the ledger, with the new lines, as a file, and read it back.

@@ -210,9 +210,9 @@ def _signers(root: Path) -> Iterator[list[Certificate]]:
     """
     for name in set_names(root):
         yield signers_in(root / layout.in_set(name, layout.PUBLIC))
-    generations = root / layout.GENERATIONS
-    with disk_errors(generations):
-        there = sorted(generations.iterdir()) if generations.is_dir() else []
-    for folder in there:
-        if (folder / layout.PERMISSIONS_CA).exists():
-            yield signers_in(folder)
+        generations = root / layout.in_set(name, layout.GENERATIONS)
+        with disk_errors(generations):
+            there = sorted(generations.iterdir()) if generations.is_dir() else []
+        for folder in there:
+            if (folder / layout.PERMISSIONS_CA).exists():
+                yield signers_in(folder)

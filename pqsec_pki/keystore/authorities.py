@@ -1,6 +1,7 @@
 """The CAs of a keystore with their private keys, for issuing and signing."""
 
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Self, TypeVar
@@ -101,6 +102,18 @@ class Authorities:
     def sets(self) -> tuple["Authorities", ...]:
         """The CAs of each set, in the order of `Keystore.sets`."""
         return (self, *self.others)
+
+    def of(self, set_name: str) -> "Authorities":
+        """The CAs of the set called `set_name`; ValueError if it has none."""
+        found = [each for each in self.sets if each.set_name == set_name]
+        if not found:
+            raise ValueError(f"no CAs of the set {set_name}")
+        return found[0]
+
+    def with_set(self, new: "Authorities") -> "Authorities":
+        """The CAs of all sets, with `new` in place of those of its set."""
+        first, *others = (new if each.set_name == new.set_name else each for each in self.sets)
+        return replace(first, others=tuple(others))
 
     @property
     def all(self) -> tuple[Authority, ...]:
@@ -207,19 +220,18 @@ def unlock(  # noqa: PLR0913 -- as `Keystore.unlock` gives them
     folder: Path,
     profile: Profile,
     passphrase: bytes | None,
-    pin: Pin | None = None,
-    cas: Collection[SigningCa] = (),
+    pin: Pin | None,
+    cas: Collection[SigningCa],
     *,
-    set_name: str = layout.FIRST,
+    set_name: str,
 ) -> Authorities:
     """The CAs of the set in `folder`; `pin` gives the PINs of tokens.
 
-    With `cas`, only their keys are read; signing with another raises KeystoreError. KeystoreError
+    Only the keys of `cas` are read; signing with another raises KeystoreError. KeystoreError
     if a file is missing or a key does not fit its certificate, PassphraseError if the keys are
     encrypted and `passphrase` is missing or wrong, or a PIN is.
     """
-    cas = cas or tuple(SigningCa)
-    names = ca_key_files(profile, cas)
+    names = ca_key_files(profile, cas) if cas else []
     private, public = folder / layout.PRIVATE, folder / layout.PUBLIC
     loaded = _each(lambda name: load_ca_key(private / name, passphrase, pin), names, passphrase)
     keys = dict(zip(names, loaded, strict=True))

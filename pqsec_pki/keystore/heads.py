@@ -28,7 +28,7 @@ from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._chain import Entry
 from pqsec_pki.keystore._ledger import Ledger
 from pqsec_pki.keystore._lock import at_rest
-from pqsec_pki.keystore._settings import set_names
+from pqsec_pki.keystore._settings import read_ledger, set_names
 from pqsec_pki.keystore.participant import load_first_certificate
 from pqsec_pki.problems import Code
 from pqsec_pki.transparency import Checkpoint, CompactRange, TreeHead, leaf_of
@@ -136,12 +136,17 @@ def other_sets(root: Path, ledger: Ledger) -> KeystoreError | None:
     named, known = {*set_names(root)}, {layout.FIRST, *ledger.sets()}
     if named == known:
         return None
-    what = "lacks" if known - named else "has"
-    names = ", ".join(sorted(known ^ named))
+    lacks, names = bool(known - named), ", ".join(sorted(known ^ named))
+    hint = "restore the settings from a backup: without a set, it would no longer be looked at"
+    if lacks and read_ledger(root / layout.SETTINGS):
+        hint = (
+            f"another machine added it: copy {layout.SETTINGS}, {layout.PUBLIC}/ and"
+            f" {layout.SETS}/ from the one where `pqsec ca add-set` ran: docs/how-to/postgresql.md"
+        )
     return KeystoreError(
-        f"{root / layout.SETTINGS} {what} the set of credentials {names}, and the ledger"
-        f" {'has it' if known - named else 'does not'}",
-        hint="restore the settings from a backup: without a set, it would no longer be looked at",
+        f"{root / layout.SETTINGS} {'lacks' if lacks else 'has'} the set of credentials {names},"
+        f" and the ledger {'has it' if lacks else 'does not'}",
+        hint=hint,
     )
 
 

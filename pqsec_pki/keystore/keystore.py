@@ -28,7 +28,6 @@ from pqsec_pki.errors import (
     InterruptedChangeError,
     KeystoreError,
     MissingError,
-    UsageError,
     located,
     shown,
 )
@@ -108,8 +107,6 @@ class Keystore:
         """
         cls.refuse_occupied(root)
         refuse_without_links(root, "a keystore", hard=True)
-        if ledger and len(profiles) > 1:
-            raise UsageError("a ledger in a database is for a keystore with one profile")
         settings = _settings.settings_file(profiles, domains, ledger)
         made = cls(root, profiles, domains, to_change=True)
         authorities = created(profiles, name, now=now, validity=validity, keys=keys)
@@ -292,23 +289,35 @@ class Keystore:
         passphrase: bytes | None,
         pin: Pin | None = None,
         cas: Collection[SigningCa] = (),
+        *,
+        without: Collection[str] = (),
     ) -> Authorities:
         """The CAs with their private keys; PassphraseError if `passphrase` or a PIN is wrong.
 
         `pin` gives the PIN of a token [default: only files that the keys' URIs name]. With `cas`,
-        only their keys are read, and can sign; those of others may be on another machine.
+        only their keys are read, and can sign; those of others may be on another machine. Those of
+        the sets called `without` are not read either: they may be lost.
         """
         found = [
-            unlock(each.folder, each.profile, passphrase, pin, cas, set_name=each.set_name)
+            unlock(
+                each.folder,
+                each.profile,
+                passphrase,
+                pin,
+                () if each.set_name in without else cas or tuple(SigningCa),
+                set_name=each.set_name,
+            )
             for each in self.sets
         ]
         return together(found)
 
-    def is_locked(self, cas: Collection[SigningCa] = ()) -> bool:
-        """Whether a key of `cas`, or of any CA, is encrypted; an adopted keystore may have one."""
-        return any(
-            is_encrypted(data) for each in self.sets for data in _ca_keys(each, cas).values()
-        )
+    def is_locked(self, cas: Collection[SigningCa] = (), *, without: Collection[str] = ()) -> bool:
+        """Whether a key of `cas`, or of any CA, is encrypted; an adopted keystore may have one.
+
+        Those of the sets called `without` are not read.
+        """
+        read = (each for each in self.sets if each.set_name not in without)
+        return any(is_encrypted(data) for each in read for data in _ca_keys(each, cas).values())
 
     def has_key_files(self, ca: SigningCa) -> bool:
         """Whether all keys of `ca` are in files here, and not in a token or on another machine."""

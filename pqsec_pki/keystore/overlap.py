@@ -7,6 +7,7 @@ CA first, then the other. Stacks that read only the first one are not affected
 
 import hashlib
 from collections.abc import Collection, Sequence
+from dataclasses import field
 from datetime import datetime
 from enum import StrEnum
 from typing import Self
@@ -34,9 +35,9 @@ TRUST, TRUST_END = "trust", "trust-end"
 written; the second, with the same hash, that it is no longer valid."""
 WAIT = "no CA can be replaced before the overlap ends"
 _NEXT_STEPS = {
-    Phase.BEGUN: "continue with `pqsec ca rotate --overlap switch`, or undo it with"
-    " `--overlap cancel`",
-    Phase.SWITCHED: "end it with `pqsec ca rotate --overlap finish`",
+    Phase.BEGUN: "continue with `{rotate} --overlap switch`, or undo it with `{rotate} --overlap"
+    " cancel`",
+    Phase.SWITCHED: "end it with `{rotate} --overlap finish`",
 }
 
 
@@ -47,6 +48,8 @@ class Overlap:
     phase: Phase
     issuing: Certificate
     other: Certificate
+    rotate: str = field(default="pqsec ca rotate", compare=False)
+    """The command that makes the next step."""
 
     @classmethod
     def of(cls, keystore: Keystore) -> Self | None:
@@ -67,9 +70,10 @@ class Overlap:
         if line is None or line.sha256 != hashlib.sha256(data).hexdigest():
             return None
         try:
-            return cls(Phase(line.details.get("overlap", "")), *found)
+            phase = Phase(line.details.get("overlap", ""))
         except ValueError as error:
             raise line.damaged(str(error)) from None
+        return cls(phase, *found, rotate=rotate_command(keystore))
 
     @classmethod
     def that_is(cls, keystore: Keystore, phase: Phase) -> Self:
@@ -78,7 +82,7 @@ class Overlap:
         if found is None:
             raise KeystoreError(
                 "the keystore trusts one identity CA: no overlap has begun",
-                hint="begin one with `pqsec ca rotate --overlap begin`",
+                hint=f"begin one with `{rotate_command(keystore)} --overlap begin`",
             )
         if found.phase is not phase:
             raise KeystoreError(f"the overlap is {found.phase}", hint=found.next_step)
@@ -87,7 +91,13 @@ class Overlap:
     @property
     def next_step(self) -> str:
         """The commands that continue or end the overlap, for a hint."""
-        return _NEXT_STEPS[self.phase]
+        return _NEXT_STEPS[self.phase].format(rotate=self.rotate)
+
+
+def rotate_command(keystore: Keystore) -> str:
+    """The command that replaces CAs of this set of credentials."""
+    several = len(keystore.profiles) > 1
+    return f"pqsec ca rotate --set {keystore.profile.name}" if several else "pqsec ca rotate"
 
 
 def refuse_overlap(keystore: Keystore, why: str) -> None:

@@ -14,6 +14,7 @@ from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore.compromised import all_hashes
 from pqsec_pki.keystore.keystore import Keystore
+from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
 from pqsec_pki.smime import document_in
 
@@ -44,7 +45,7 @@ def faults_of_sets(
 
 def _missing(first: Keystore, other: Keystore, names: Iterable[str]) -> Iterator[tuple[Path, str]]:
     places = [*_OF_ALL]
-    if first.has_revocation_list or other.has_revocation_list:
+    if not (_trusts_two(first) or _trusts_two(other)):
         places.append(_LIST)
     for name in names:
         folder = layout.enclave_folder(name)
@@ -53,6 +54,13 @@ def _missing(first: Keystore, other: Keystore, names: Iterable[str]) -> Iterator
         for one, beside in ((first, other), (other, first)):
             if not exists(one.folder / place) and exists(beside.folder / place):
                 yield one.folder / place, f"is missing; {beside.folder} has it"
+
+
+def _trusts_two(keystore: Keystore) -> bool:
+    """Whether the set trusts two identity CAs: it has no revocation list, which covers one."""
+    with suppress(PqsecError):
+        return Overlap.of(keystore) is not None
+    return False
 
 
 def _names(keystore: Keystore) -> list[str]:

@@ -163,11 +163,15 @@ def _participants(  # noqa: PLR0913 -- as `status`
 def _lists(
     keystore: Keystore, ledger: Ledger, now: datetime, due: timedelta | None
 ) -> Iterator[SharedStatus]:
-    """The state of the set's list; GONE if its file is missing beside those of other sets."""
+    """The state of the set's list; GONE if its file is missing beside those of other sets.
+
+    A set with two trusted identity CAs has none.
+    """
     if found := list_status(keystore, ledger, now=now, due=due):
         yield found
-    elif len(keystore.sets) > 1 and (lost := ledger.of_kind("crl")[-1:]):
-        yield replace(_shared(lost[0], now, due), state=State.GONE)
+    elif len(keystore.sets) > 1 and not Overlap.of(keystore):
+        lost = ledger.of_kind("crl")[-1:]
+        yield from (replace(_shared(each, now, due), state=State.GONE) for each in lost)
 
 
 def list_status(

@@ -13,7 +13,8 @@ Participants and documents:
 CAs:
     adding        adds a set of credentials of another profile; `_sets` has what other changes do in
                   each set
-    additions     which participants it would be for, and what is in its way
+    additions     which participants it would be for, and what is in its way; `_alike` issues them
+                  what they have
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys

@@ -13,7 +13,7 @@ from pqsec_pki._files import exists
 from pqsec_pki._processes import shared_out
 from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
-from pqsec_pki.errors import ExistsError, KeystoreError, PassphraseError, UsageError
+from pqsec_pki.errors import ExistsError, PassphraseError
 from pqsec_pki.keystore import (
     GITIGNORE,
     WAIT,
@@ -35,10 +35,11 @@ from pqsec_pki.keystore import (
     stage_governance,
     together,
 )
-from pqsec_pki.lifecycle._ca_changes import name_start
+from pqsec_pki.lifecycle._alike import issued_alike
+from pqsec_pki.lifecycle._ca_changes import name_start, refuse_known
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer
-from pqsec_pki.lifecycle.additions import chosen, credentials_to_copy, governance_to_copy
+from pqsec_pki.lifecycle.additions import chosen, governance_to_copy
 from pqsec_pki.lifecycle.revoking import LIST_VALIDITY, Publisher
 
 _SHARED = layout.CA_TARGETS | {layout.GOVERNANCE: f"{layout.ENCLAVES}/{layout.GOVERNANCE}"}
@@ -72,14 +73,13 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
 
     The CAs are named `name` [default: as those of the first set], and the profile's name. Their
     keys are encrypted under `passphrase`; PassphraseError without one if those of the other CAs are
-    encrypted. ExistsError if there is such a set; KeystoreError while
-    two identity CAs are trusted, with a ledger in a database, and for a document or a subject that
-    pqsec would write otherwise; UsageError if a CA would have the name of another.
+    encrypted. ExistsError if there is such a set; KeystoreError while two identity CAs are trusted,
+    and for a document or a subject that pqsec would write otherwise; UsageError if a CA would have
+    the name of another. Other machines with this ledger refuse to work until they have the new
+    set's CAs.
     """
     if profile.name in {each.name for each in keystore.profiles}:
         raise ExistsError(f"the keystore has a set of profile {profile.name} already")
-    if keystore.ledger_address:
-        raise KeystoreError("a ledger in a database is for a keystore with one profile")
     if passphrase is None and keystore.is_locked():
         raise PassphraseError("the keys of the new CAs would not be encrypted, as the others are")
     there = keystore.root / layout.in_set(profile.name, "")
@@ -92,9 +92,10 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
     start = name_start(first.identity_ca) if name is None else name
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.ROTATE)
-        refuse_overlap(first, WAIT)
+        for each in keystore.sets:
+            refuse_overlap(each, WAIT)
         new = further(profile, start, now=now, validity=validity)
-        _refuse_known_names(authorities, new)
+        refuse_known(authorities, new)
         view = replace(first, profiles=(*keystore.profiles, profile), set_name=profile.name)
         cas = together([*authorities.sets, new])
         transaction.authorities = cas
@@ -105,19 +106,10 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
     return AddedSet(keystore=view, authorities=cas, issued=tuple(issued), left=tuple(left))
 
 
-def _refuse_known_names(authorities: Authorities, new: Authorities) -> None:
-    known = {ca.certificate.subject_der for each in authorities.sets for ca in each.all}
-    for ca in new.all:
-        if ca.certificate.subject_der in known:  # issuers are found by name
-            raise UsageError(
-                f"{ca.certificate.subject_name} is the name of another CA of this keystore",
-                hint="choose another --name",
-            )
-
-
 def _stage_settings(keystore: Keystore, transaction: Transaction) -> None:
     beside = transaction.folder(".", private=False)
-    beside.public(layout.SETTINGS, settings_file(keystore.profiles, keystore.domains))
+    settings = settings_file(keystore.profiles, keystore.domains, keystore.ledger_address)
+    beside.public(layout.SETTINGS, settings)
     if exists(keystore.root / GITIGNORE, follow=False):
         beside.public(GITIGNORE, keystore_ignored(keystore.root))
 
@@ -186,18 +178,6 @@ def _issued(
     folder: StagedFolder,
 ) -> Issued:
     """New keys and a certificate that ends with that of the first set, and its permissions."""
-    old, permissions, digest = credentials_to_copy(inspector, name)
-    keys = issuer.new_keys(folder)
-    certificate = issuer.authorities.identity.issue(
-        name,
-        keys.key,
-        alternative=keys.alternative,
-        number=issuer.number,
-        now=issuer.now,
-        validity=old.not_after - issuer.now,
-    )
     for link, target in layout.shared_links(name, shared).items():
         folder.link(link, target)
-    return issuer.stage(
-        folder, name, certificate, permissions, asked=old.not_after, config_digest=digest
-    )
+    return issued_alike(issuer, inspector, name, folder)

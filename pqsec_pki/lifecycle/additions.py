@@ -7,15 +7,13 @@ again; so nobody is added whose documents or subject pqsec would write in anothe
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from datetime import datetime
-from pathlib import Path
 from shlex import quote
 
 from pqsec_pki._dataclass import dataclass
-from pqsec_pki.certificates import Certificate
-from pqsec_pki.credentials import TrustAnchors
-from pqsec_pki.documents import Governance, Permissions
-from pqsec_pki.errors import KeystoreError, PqsecError
+from pqsec_pki.documents import Governance
+from pqsec_pki.errors import PqsecError
 from pqsec_pki.keystore import WAIT, CurrentFiles, Keystore, layout, refuse_overlap
+from pqsec_pki.lifecycle._alike import credentials_to_copy, document_of, other_form
 from pqsec_pki.lifecycle._inspector import Inspector
 
 NEEDS_REQUEST = "its key is not here: it needs a request with a key of each set"
@@ -85,49 +83,12 @@ def _refused(inspector: Inspector, names: tuple[str, ...]) -> Iterator[tuple[str
 def governance_to_copy(first: Keystore) -> bytes:
     """The governance of the first set; KeystoreError if pqsec would write another form."""
     with CurrentFiles.of(first) as current:
-        document = _document(first.anchors, current.shared[layout.GOVERNANCE])
+        document = document_of(first.anchors, current.shared[layout.GOVERNANCE])
     if Governance.from_xml(document).to_xml() != document:
         enclaves = first.folder / layout.ENCLAVES
         root, edited = quote(str(first.root)), quote(str(enclaves / layout.GOVERNANCE_XML))
-        raise _other_form(
+        raise other_form(
             enclaves / layout.GOVERNANCE,
             f"review governance.xml and `pqsec -k {root} sign-governance {edited} --force`",
         )
     return document
-
-
-def credentials_to_copy(
-    inspector: Inspector, name: str
-) -> tuple[Certificate, Permissions | None, str]:
-    """The certificate of the first set, its permissions if it has some, and their config digest.
-
-    KeystoreError if pqsec would write another subject or another form.
-    """
-    there = inspector.keystore.folder / layout.enclave_folder(name)
-    certificate = inspector.certificate(name, there)
-    if certificate.subject_name != f"CN={name}":
-        raise _other_form(there / layout.CERTIFICATE, _renewal(inspector.keystore, name))
-    if inspector.lacks_permissions(name, there):
-        return certificate, None, ""
-    document = _document(inspector.anchors, inspector.signed_permissions(name, there))
-    permissions = Permissions.from_xml(document)
-    if permissions.to_xml() != document:
-        raise _other_form(there / layout.PERMISSIONS, _renewal(inspector.keystore, name))
-    return certificate, permissions, inspector.config_digest(name, there)
-
-
-def _document(anchors: TrustAnchors, signed: bytes) -> bytes:
-    """The document in a signed file, with the ends of lines of our files."""
-    return anchors.signed(signed).document.replace(b"\r\n", b"\n")
-
-
-def _renewal(keystore: Keystore, name: str) -> str:
-    return f"`pqsec -k {quote(str(keystore.root))} renew {quote(name)}`"
-
-
-def _other_form(path: Path, way_out: str) -> KeystoreError:
-    """The error for what the new set could not have in the same form."""
-    return KeystoreError(
-        f"{path} has another form than pqsec writes: the sets would differ",
-        hint=way_out,
-    )

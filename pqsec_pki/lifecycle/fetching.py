@@ -11,7 +11,7 @@ from pqsec_pki._dataclass import dataclass
 from pqsec_pki.keystore import (
     Authorities,
     Keystore,
-    Transaction,
+    SetChange,
     change,
     files_elsewhere,
     layout,
@@ -23,29 +23,35 @@ from pqsec_pki.lifecycle.issuing import clear_keys, shared_files
 def fetch_files(keystore: Keystore, authorities: Authorities, names: Iterable[str]) -> None:
     """Get the files of these participants, and what each change gets.
 
-    A participant comes whole or not at all: the database has not what an older pqsec issued.
+    A participant comes whole, in all sets, or not at all: the database has not what an older pqsec
+    issued.
     KeystoreError for a document that the CA here did not sign.
     """
     with change(keystore.root, authorities) as transaction:
         with keystore.open_ledger() as ledger:
             wanted = [each for each in files_elsewhere(keystore, ledger, names) if each.name]
         kept = transaction.kept(wanted)
-        fetching = _Fetching(keystore, authorities, transaction)
-        for folder, group in groupby(wanted, attrgetter("folder")):
-            files = list(group)
-            if all(each in kept for each in files):
-                fetching.stage(folder, files[0].name, {each.file: kept[each] for each in files})
+        lost = {each.name for each in wanted if each not in kept}
+        for view, cas in zip(keystore.sets, authorities.sets, strict=True):
+            fetching = _Fetching(view, cas, transaction.of(view.set_name))
+            own = [each for each in wanted if each.set_name == view.set_name]
+            for name, group in groupby(own, attrgetter("name")):
+                if name not in lost:
+                    fetching.stage(name, {each.file: kept[each] for each in group})
 
 
 @dataclass(frozen=True, slots=True)
 class _Fetching:
+    """Gets files of one set."""
+
     keystore: Keystore
     authorities: Authorities
-    transaction: Transaction
+    part: SetChange
 
-    def stage(self, folder: str, name: str, files: Mapping[str, bytes]) -> None:
-        """Stage these files, and what belongs to them."""
-        staged = self.transaction.folder(folder, private=True)
+    def stage(self, name: str, files: Mapping[str, bytes]) -> None:
+        """Stage these files of a participant, and what belongs to them."""
+        folder = layout.enclave_folder(name)
+        staged = self.part.folder(folder, private=True)
         for file, data in files.items():
             staged.public(file, data)
             if file == layout.PERMISSIONS:
@@ -55,4 +61,4 @@ class _Fetching:
             shared = shared_files(self.keystore, self.authorities)
             for link, target in layout.shared_links(name, shared).items():
                 staged.link(link, target)
-            clear_keys(self.transaction, folder)
+            clear_keys(self.part, folder)

@@ -12,7 +12,6 @@ from pqsec_pki.keystore import (
     change,
     layout,
     moved_entry,
-    refuse_further_sets,
     settings_file,
 )
 
@@ -39,9 +38,9 @@ def move_ledger(keystore: Keystore, target: LedgerAddress | None, *, now: dateti
 
     All lines are read back before the change is committed. A database that has these lines already,
     and newer ones, is joined: another machine moved the same ledger there. KeystoreError if the
-    database has another ledger, or the ledger is there already.
+    database has another ledger, or sets of credentials that are not here, or the ledger is there
+    already.
     """
-    refuse_further_sets(keystore, "a ledger in a database keeps the files of")
     source = keystore.ledger_address
     if source == target:
         raise KeystoreError("the ledger is there already")

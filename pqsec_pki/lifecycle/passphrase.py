@@ -15,18 +15,19 @@ def change_passphrase(
     key that is a link, because its target would not change, and during an overlap before the
     switch.
     """
-    if len(keystore.key_uris()) == len(key_algorithms(keystore.profile)):
+    if all(len(each.key_uris()) == len(key_algorithms(each.profile)) for each in keystore.sets):
         raise KeystoreError(
             "no CA key is in a file: there is nothing to encrypt",
             hint="the tokens have PINs; their own tools change them",
         )
     with change(keystore.root, authorities) as transaction:
-        overlap = Overlap.of(keystore)
-        if overlap and overlap.phase is Phase.BEGUN:
-            raise KeystoreError(
-                "the identity CA that will issue next would keep the old passphrase",
-                hint=overlap.next_step,
-            )
+        for each in keystore.sets:
+            overlap = Overlap.of(each)
+            if overlap and overlap.phase is Phase.BEGUN:
+                raise KeystoreError(
+                    "the identity CA that will issue next would keep the old passphrase",
+                    hint=overlap.next_step,
+                )
         paths = []
         for each, cas in zip(keystore.sets, authorities.sets, strict=True):
             part = transaction.of(each.set_name)

@@ -22,12 +22,14 @@ from pqsec_pki.errors import KeystoreError, UnknownAlgorithmError
 from pqsec_pki.keystore import (
     Authorities,
     Keystore,
+    Overlap,
     StagedFolder,
     change,
     layout,
     list_status,
     load_certificate,
 )
+from pqsec_pki.lifecycle._alike import issued_alike
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer, PublicKeys
 from pqsec_pki.lifecycle._key_checks import refuse_compromised
@@ -81,11 +83,14 @@ def renew(
         parts = {each.keystore.profile.name: each.part for each in sets}
         for each in (made for participant in renewed for made in participant.sets):
             parts[each.profile].record(*each.entries)
-        lists = [list_status(each.keystore, each.ledger, now=now, due=terms.due) for each in sets]
+        with_lists = [each for each in sets if not Overlap.of(each.keystore)]
+        lists = [
+            list_status(each.keystore, each.ledger, now=now, due=terms.due) for each in with_lists
+        ]
         there = [each for each in lists if each]
-        lost = there and len(there) < len(sets)
+        lost = there and len(there) < len(with_lists)
         if lost or any(each.state.calls_for_renewal for each in there):
-            publish(sets, [], LIST_VALIDITY, now)
+            publish(with_lists, [], LIST_VALIDITY, now)
     return renewed
 
 
@@ -158,13 +163,25 @@ class Renewer:
             )
         return replace(made[0], further=tuple(made[1:]))
 
+    def make_alike(self, name: str, folder: StagedFolder) -> Issued:
+        """Stage a certificate that ends as the old one, and the same permissions signed again.
+
+        So this set says what the others say, of which nothing is made.
+        """
+        there = self._there(name)
+        with disk_errors(there):
+            old = self.inspector.certificate(name, there)
+            self.inspector.permissions(name, there)
+        return issued_alike(
+            self.issuer, self.inspector, name, folder, self._next_keys(name, old, folder)
+        )
+
     def certificate(self, name: str, folder: StagedFolder, validity: timedelta) -> Certificate:
         """The next certificate of this set; stages its keys, if they are new."""
         there = self._there(name)
         with disk_errors(there):
             old = self.inspector.certificate(name, there)
-            rekey = self._rekey(name, self.issuer.keystore.has_key(name))
-            keys = self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
+            keys = self._next_keys(name, old, folder)
         return self.issuer.authorities.identity.issue(
             name,
             keys.key,
@@ -173,6 +190,11 @@ class Renewer:
             now=self.issuer.now,
             validity=validity,
         )
+
+    def _next_keys(self, name: str, old: Certificate, folder: StagedFolder) -> PublicKeys:
+        """The keys of the next certificate; stages them, if they are new."""
+        rekey = self._rekey(name, self.issuer.keystore.has_key(name))
+        return self.issuer.new_keys(folder) if rekey else self._kept_keys(name, old)
 
     @property
     def _cas(self) -> list[Authority]:

@@ -100,6 +100,10 @@ class RolloverPlan:
     """The folder for the replaced CAs."""
     one_ca: bool
     """Whether both CAs have the same key now (CVE-2023-24010)."""
+    set_name: str = layout.FIRST
+    """The set of credentials whose CAs are replaced."""
+    others: tuple[str, ...] = ()
+    """The profiles of the other sets, which stay as they are."""
     keeping: tuple[str, ...] = ()
     """Participants that are reissued with their keys."""
     rekeyed: tuple[str, ...] = ()
@@ -107,9 +111,26 @@ class RolloverPlan:
     left_out: dict[str, str] = field(default_factory=dict)
     """Participants that are not reissued, and why."""
     new_list: bool = False
-    """Whether a new, empty revocation list replaces the old one."""
+    """Whether a new, empty revocation list is issued: it replaces the old one, or comes back to a
+    set whose overlap ends, if other sets have lists."""
     drop_list: bool = False
     """Whether the empty revocation list is removed: it would cover only one of two CAs."""
+
+    @property
+    def rotate(self) -> str:
+        """The command that replaces CAs of this set."""
+        return f"pqsec ca rotate --set {self.before.name}" if self.others else "pqsec ca rotate"
+
+    @property
+    def needs_old_cas(self) -> bool:
+        """Whether the keys of this set's old CAs are needed."""
+        return self.terms.needs_old_cas or bool(self.new_list and self.overlap)
+
+    @property
+    def needs_other_sets(self) -> bool:
+        """Whether the keys of the other sets' CAs are needed: with the new permissions CA, they
+        sign the next head of the ledger."""
+        return bool(self.others) and (self.terms.scope is Scope.BOTH or self.needs_old_cas)
 
     def to_json(self) -> dict[str, object]:
         """The plan of a rollover without an overlap, for --json."""
@@ -145,11 +166,17 @@ class RolloverPlan:
             case OverlapStep.FINISH:
                 yield f"trust only {self._issuing_name}"
                 yield f"refuse certificates that {self._other_name} issued"
+                yield from self._returning_list()
             case OverlapStep.CANCEL:
                 yield f"trust only {self._issuing_name}, as before"
                 yield f"destroy the key of {self._other_name}, which has not issued anything"
+                yield from self._returning_list()
             case _:
                 yield from self._rollover_steps()
+
+    def _returning_list(self) -> Iterator[str]:
+        if self.new_list:
+            yield "issue an empty revocation list: the other sets of credentials have lists too"
 
     def _rollover_steps(self) -> Iterator[str]:
         yield from self._ca_steps()

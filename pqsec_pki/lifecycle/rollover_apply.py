@@ -13,6 +13,7 @@ from pathlib import Path
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki._files import read
 from pqsec_pki._processes import shared_out
+from pqsec_pki.algorithms import Profile
 from pqsec_pki.approvals import Covered
 from pqsec_pki.errors import KeystoreError, UsageError, located
 from pqsec_pki.keystore import (
@@ -21,8 +22,8 @@ from pqsec_pki.keystore import (
     Ledger,
     Overlap,
     Phase,
+    SetChange,
     StagedFolder,
-    Transaction,
     change,
     document_entry,
     layout,
@@ -36,6 +37,7 @@ from pqsec_pki.lifecycle._ca_changes import (
     finish_overlap,
     new_cas,
     next_identity_ca,
+    refuse_known,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer
@@ -103,15 +105,15 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
 ) -> RolloverResult:
     """Execute the plan, or do nothing.
 
-    `kept` are the keystore's CAs, if the plan's terms need them. New keys are encrypted under
+    `kept` are the keystore's CAs, if the plan needs them. New keys are encrypted under
     `passphrase`, which is also that of the key that an overlap has made; `pin` gives the PIN of a
     token that has it. `keys` are keys of new CAs that are there already. `compares_clock` is as
     in `Authorities`. KeystoreError if the
     keystore was changed after the plan was made; VerificationError for documents that the old
     permissions CA did not sign.
     """
-    if plan.terms.needs_old_cas and kept is None:
-        raise UsageError("the key of the CA that stays is needed")
+    if kept is None and (plan.needs_old_cas or plan.needs_other_sets):
+        raise UsageError("the keys of the CAs that stay are needed")
     with change(keystore.root, kept) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.ROTATE)
         if ledger.head != plan.head:
@@ -119,18 +121,47 @@ def apply_rollover(  # noqa: PLR0913 -- each is a choice of the user's, and all 
                 "the keystore was changed after the plan was made", hint="run the command again"
             )
         made = _NewCas(plan, passphrase, pin, keys, now)
+        part, old = transaction.of(keystore.set_name), kept and kept.of(keystore.set_name)
         if plan.terms.reissues:
-            cas = replace(made.following(keystore, kept), compares_clock=compares_clock)
-            transaction.authorities = cas
+            cas = made.following(keystore, old)
+            if kept:
+                refuse_known(kept, cas)
+            everyone = kept.with_set(cas) if kept and plan.others else cas
+            transaction.authorities = replace(everyone, compares_clock=compares_clock)
             inspector = Inspector.of(keystore, ledger, now=now)
             lines = {each.sha256: each.details for each in ledger.of_kind("governance")}
-            new = replace(keystore, profiles=(plan.terms.profile,))
-            execution = _Execution(keystore, new, plan, cas, transaction, inspector, lines, now)
+            new = _with_profile(keystore, plan.terms.profile)
+            execution = _Execution(keystore, new, plan, cas, part, inspector, lines, now)
             issued, overlap = execution.run(passphrase, ledger), plan.overlap
         else:
             new, issued = keystore, []
-            overlap = made.overlapping(keystore, transaction)
+            overlap = made.overlapping(keystore, part, kept)
+            if plan.new_list and old:
+                _return_list(keystore, old, ledger, part, now)
     return RolloverResult(plan=plan, keystore=new, issued=issued, overlap=overlap)
+
+
+def _with_profile(keystore: Keystore, profile: Profile) -> Keystore:
+    """The keystore with that profile for this set."""
+    profiles = [profile if each == keystore.profile else each for each in keystore.profiles]
+    return replace(keystore, profiles=tuple(profiles))
+
+
+def _return_list(
+    keystore: Keystore, authorities: Authorities, ledger: Ledger, part: SetChange, now: datetime
+) -> None:
+    """Stage an empty list, and links to it, for a set that trusts one identity CA again."""
+    publisher = Publisher(keystore, authorities.identity, ledger, now)
+    number = max(publisher.next_number, _last_number(keystore))
+    publisher.stage(part, [], number, LIST_VALIDITY)
+    for place, target in layout.missing_list_links(keystore.folder):
+        part.link(place, target)
+
+
+def _last_number(keystore: Keystore) -> int:
+    """The largest number of a revocation list of the other sets; 0 if there is none."""
+    lists = [each.revocation_list for each in keystore.sets if each != keystore]
+    return max((each.number or 0 for each in lists if each), default=0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -151,22 +182,23 @@ class _NewCas:
             return replace(kept, identity=following)
         return _replaced(self.plan, kept, new_cas(self.plan, self.now, self.keys))
 
-    def overlapping(self, keystore: Keystore, transaction: Transaction) -> Overlap:
+    def overlapping(self, keystore: Keystore, part: SetChange, kept: Authorities | None) -> Overlap:
         """The overlap that the plan begins, finishes or cancels."""
         overlap = self.plan.overlap
         if overlap is None:
             return begin_overlap(
                 keystore,
                 self.plan,
-                transaction,
+                part,
+                kept=kept,
                 passphrase=self.passphrase,
                 now=self.now,
                 keys=self.keys,
             )
         if self.plan.terms.overlap is OverlapStep.FINISH:
-            finish_overlap(overlap, transaction, self.now)
+            finish_overlap(overlap, part, self.now)
         else:
-            cancel_overlap(overlap, transaction, self.now)
+            cancel_overlap(overlap, part, self.now)
         return overlap
 
 
@@ -187,7 +219,8 @@ class _Execution:
     new: Keystore
     plan: RolloverPlan
     authorities: Authorities
-    transaction: Transaction
+    """Those of the set."""
+    part: SetChange
     inspector: Inspector
     governances: dict[str, dict[str, str]]
     """SHA-256 of each signed governance -> the details of its ledger line."""
@@ -196,19 +229,19 @@ class _Execution:
     def run(self, passphrase: bytes | None, ledger: Ledger) -> list[Issued]:
         self._archive()
         self._write_authorities(passphrase)
-        enclaves = self.transaction.folder(layout.ENCLAVES, private=False)
+        enclaves = self.part.folder(layout.ENCLAVES, private=False)
         self._sign_governance(self.old.folder / layout.ENCLAVES, enclaves, "")
         issued = self._reissue()
         if self.plan.new_list:
             publisher = Publisher(self.new, self.authorities.identity, ledger, self.now)
-            first = self.transaction.of(self.new.set_name)
-            publisher.stage(first, [], publisher.next_number, LIST_VALIDITY)
+            number = max(publisher.next_number, _last_number(self.old))
+            publisher.stage(self.part, [], number, LIST_VALIDITY)
         return issued
 
     def _archive(self) -> None:
         """Copy the replaced files to the archive; destroy private keys if wanted."""
         archive = self.plan.archive.relative_to(self.old.folder)
-        folder = self.transaction.folder(archive.as_posix(), private=True)
+        folder = self.part.folder(archive.as_posix(), private=True)
         for place in self._replaced_files():
             path = self.old.folder / place
             if not place.startswith(layout.PRIVATE):
@@ -218,47 +251,49 @@ class _Execution:
             elif path.resolve().parent != path.parent.resolve():
                 raise KeystoreError(f"{path} is a link: pqsec does not destroy its target")
             else:
-                self.transaction.shred(place)
+                self.part.shred(place)
 
     def _write_authorities(self, passphrase: bytes | None) -> None:
         """Write the new CAs and the settings; remove files of the old CAs without a successor."""
-        public = self.transaction.folder(layout.PUBLIC, private=False)
-        private = self.transaction.folder(layout.PRIVATE, private=True)
+        public = self.part.folder(layout.PUBLIC, private=False)
+        private = self.part.folder(layout.PRIVATE, private=True)
         overlap = self.plan.overlap
         trusted = overlap.issuing if overlap else None
         self.authorities.write(public, private, passphrase, trusted=trusted)
         for key in (layout.NEXT_KEY, layout.NEXT_ALT_KEY):  # now stored under its final name
-            self.transaction.remove(f"{layout.PRIVATE}/{key}")
+            self.part.remove(f"{layout.PRIVATE}/{key}")
         written = {layout.CA_LIST, *public.names, *private.names}
         for place in self._replaced_files():
             if Path(place).name not in written:
-                self.transaction.remove(place)
-        settings = self.transaction.folder(".", private=False)
+                self.part.remove(place)
+        settings = self.part.transaction.folder(".", private=False)
         settings.public(
             layout.SETTINGS,
             settings_file(self.new.profiles, self.new.domains, self.old.ledger_address),
         )
-        self.transaction.record(*self.authorities.entries(self.now))
+        self.part.record(*self.authorities.entries(self.now))
         if overlap:
             switched = Overlap(Phase.SWITCHED, overlap.other, overlap.issuing)
-            self.transaction.record(trust_entry(switched, self.now))
+            self.part.record(trust_entry(switched, self.now))
 
     def _reissue(self) -> list[Issued]:
         """Reissue participants; add missing links, and remove files that they no longer need."""
-        issuer = Issuer(self.new, self.authorities, self.transaction.number, self.now)
+        issuer = Issuer(self.new, self.authorities, self.part.number, self.now)
         names = sorted((*self.plan.keeping, *self.plan.rekeyed))
         rekeyed = frozenset(self.plan.rekeyed)
 
         def make(name: str, folder: StagedFolder) -> Issued:
-            terms = Renewal(rekey=name in rekeyed)
-            return Renewer(issuer, self.inspector, terms).make(name, [folder])
+            renewer = Renewer(issuer, self.inspector, Renewal(rekey=name in rekeyed))
+            return (
+                renewer.make_alike(name, folder)
+                if self.plan.others
+                else renewer.make(name, [folder])
+            )
 
-        folders = [
-            self.transaction.folder(layout.enclave_folder(name), private=False) for name in names
-        ]
+        folders = [self.part.folder(layout.enclave_folder(name), private=False) for name in names]
         issued = shared_out(make, names, folders)
         for each, folder in zip(issued, folders, strict=True):
-            self.transaction.record(*each.entries)
+            self.part.record(*each.entries)
             there = self.old.folder / layout.enclave_folder(each.name)
             governance = there / layout.GOVERNANCE
             if governance.exists() and not governance.is_symlink():  # its own copy, when adopted
@@ -275,12 +310,12 @@ class _Execution:
         old = read(there / layout.GOVERNANCE)
         with located(there / layout.GOVERNANCE):
             document = self.inspector.verified(old)
-        number = self.transaction.number
+        number = self.part.number
         signed = self.authorities.sign(document, number=number, now=self.now)
         folder.public(layout.GOVERNANCE, signed)
         sha256 = hashlib.sha256(old).hexdigest()
         entry = document_entry("governance", name, signed, self.now)
-        self.transaction.record(replace(entry, details=self.governances.get(sha256, {})))
+        self.part.record(replace(entry, details=self.governances.get(sha256, {})))
 
     def _tidy(self, name: str, staged: StagedFolder) -> None:
         """Add missing links, and remove files of keys that the profile does not have."""
@@ -289,8 +324,8 @@ class _Execution:
         if self.authorities.countersigner:
             shared |= layout.ALT_TARGET
         else:
-            self.transaction.remove(f"{folder}/{layout.PERMISSIONS_ALT_CA}")
+            self.part.remove(f"{folder}/{layout.PERMISSIONS_ALT_CA}")
         if not self.new.profile.alternative_key:
-            self.transaction.remove(f"{folder}/{layout.ALT_KEY}")
+            self.part.remove(f"{folder}/{layout.ALT_KEY}")
         for link, target in layout.missing_links(self.old.folder, name, shared).items():
             staged.link(link, target)  # replaces the file of an adopted enclave

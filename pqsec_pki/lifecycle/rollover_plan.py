@@ -24,7 +24,6 @@ from pqsec_pki.keystore import (
     State,
     all_hashes,
     layout,
-    refuse_further_sets,
     refuse_overlap,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
@@ -48,12 +47,13 @@ def plan_rollover(keystore: Keystore, terms: Rollover, *, now: datetime) -> Roll
     revoked participants again. VerificationError for a governance that the permissions CA did
     not sign.
     """
-    refuse_further_sets(keystore, "`pqsec ca rotate` replaces the CAs of")
     head = keystore.head  # before all else: what changes later makes the plan invalid
     _refuse_scope(keystore, terms)
     overlap = _overlap(keystore, terms, now)
     number = _generation(keystore)
     has_list = keystore.has_revocation_list
+    others = [each for each in keystore.sets if each != keystore]
+    ends = terms.overlap in {OverlapStep.FINISH, OverlapStep.CANCEL}
     plan = RolloverPlan(
         terms=terms,
         before=keystore.profile,
@@ -63,20 +63,33 @@ def plan_rollover(keystore: Keystore, terms: Rollover, *, now: datetime) -> Roll
         generation=number + 1,
         archive=keystore.folder / layout.GENERATIONS / str(number),
         one_ca=keystore.identity_ca.spki == keystore.permissions_ca.spki,
-        new_list=terms.reissues and terms.scope is not Scope.PERMISSIONS and has_list,
+        set_name=keystore.set_name,
+        others=tuple(each.profile.name for each in others),
+        new_list=(terms.reissues and terms.scope is not Scope.PERMISSIONS and has_list)
+        or (ends and any(each.has_revocation_list for each in others)),
         drop_list=terms.overlap is OverlapStep.BEGIN and has_list,
     )
     return _with_participants(plan, keystore, now) if terms.reissues else plan
 
 
 def _refuse_scope(keystore: Keystore, terms: Rollover) -> None:
-    """UsageError for one CA with another profile, or an overlap of permissions CAs."""
+    """UsageError for one CA with another profile, or an overlap of permissions CAs.
+
+    Also for another profile of one of several sets: its name is that of the set.
+    """
+    changes = terms.profile.to_names() != keystore.profile.to_names()
+    if changes and len(keystore.profiles) > 1:
+        new, old = terms.profile.name, keystore.profile.name
+        raise UsageError(
+            f"the set of credentials {old} keeps its profile",
+            hint=f"add a set beside it: `pqsec ca add-set {new}`",
+        )
     if terms.overlap and terms.scope is not Scope.IDENTITY:
         raise UsageError(
             "only the identity CA can overlap: no stack trusts two permissions CAs",
             hint="leave out --only: the permissions CA stays as it is",
         )
-    if terms.scope is not Scope.BOTH and terms.profile.to_names() != keystore.profile.to_names():
+    if terms.scope is not Scope.BOTH and changes:
         raise UsageError(
             "a new profile applies to both CAs",
             hint="leave out --profile; or leave out --only and --overlap",
@@ -166,6 +179,8 @@ class _Decider:
         why = self._why_new_keys(certificate, self.terms.profile)
         if why and not has_key:
             return _Decision(f"its key is not here and {why}: it needs a new request")
+        if len(self.inspector.keystore.profiles) > 1 and certificate.not_after <= self.now:
+            return _Decision(f"its certificate ended on {said(certificate.not_after)}")
         ended = _ended(self.inspector.signed_permissions(name, folder), certificate, self.now)
         if ended:
             return _Decision(f"its permissions ended on {said(ended)}")

@@ -34,10 +34,6 @@ def test_init_makes_a_set_for_each_profile(pqsec, tmp_path):
         ("--profile classical,", "'' is not one of"),
         ("--profile classical,hybrid,classical", "profile classical is given twice"),
         ("--profile classical,pq --kem mlkem768", "are for a keystore with one profile"),
-        (
-            "--profile classical,pq --ledger postgresql://u@h/d",
-            "a ledger in a database is for a keystore with one profile",
-        ),
     ],
 )
 def test_lists_of_profiles_that_cannot_be_are_usage_errors(pqsec, tmp_path, options, words):
@@ -312,3 +308,48 @@ def test_attacks_are_on_the_choice_of_the_set_too(pqsec, k):
     assert "3 attempts, all refused" in pqsec(f"{line} replay-weaker-set").done().out
     assert "that is its policy" in pqsec(f"{line} weaker-set --stock '/*'").done().out
     assert "one set" in pqsec(f"{line} weaker-set --set hybrid").done().out
+
+
+# The CAs of one set
+
+
+def rotation(text):
+    return f"-k k ca rotate --apply --yes {text}"
+
+
+@pytest.mark.parametrize("name", TWO.split(","))
+def test_the_cas_of_the_named_set_are_replaced(pqsec, k, name):
+    before = {path: path.read_bytes() for path in k.rglob("public/*_ca.cert.pem")}
+    out = pqsec(rotation(f"--set {name}")).done().out
+    assert "generation 2" in out
+    changed = {path for path, data in before.items() if path.read_bytes() != data}
+    folder = k if name == "classical" else k / "sets/hybrid"
+    assert {path.parent.parent for path in changed} == {folder}
+    pqsec("-k k log --verify").done()
+    pqsec("-k k issue /new --publish x").done()
+
+
+def test_a_rotation_names_its_set(pqsec, k):
+    del k
+    pqsec(rotation("")).refused(2, "name one with --set: classical, hybrid")
+    pqsec("-k k ca rotate --set pq").refused(3, "it has classical, hybrid")
+    pqsec(rotation("--set hybrid --profile pq")).refused(2, "keeps its profile")
+    pqsec(rotation("--set hybrid --no-passphrase")).refused(2, "have one passphrase")
+
+
+def test_the_plan_of_a_rotation_says_what_stays(pqsec, k):
+    del k
+    out = pqsec("-k k ca rotate --set hybrid").done().out
+    assert "With credentials of classical nothing changes." in out
+    out = pqsec("-k k ca rotate --set hybrid --overlap begin").done().out
+    assert "pqsec ca rotate --set hybrid --overlap switch" in out
+
+
+def test_new_keys_of_one_set_get_the_passphrase_of_all(pqsec, tmp_path):
+    (tmp_path / "p").write_text("correct horse battery staple")
+    (tmp_path / "p").chmod(0o600)
+    pqsec(f"-k k ca init --profile {TWO} --passphrase-file p").done()
+    pqsec(rotation("--set hybrid --passphrase-file p")).done()
+    for path in (tmp_path / "k").rglob("*_ca.key.pem"):
+        assert "ENCRYPTED" in path.read_text()
+    pqsec("-k k issue /a --publish x --passphrase-file p").done()

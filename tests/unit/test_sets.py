@@ -31,12 +31,10 @@ from pqsec_pki.keystore import (
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     Renewal,
-    Rollover,
     add_set,
     adopt,
     changed_permissions,
     issue,
-    plan_rollover,
     renew,
     renew_list,
     revoke,
@@ -472,12 +470,6 @@ def test_a_key_of_another_set_is_not_certified(keystore):
             refuse_shared(ledger, {"/other": [key]}, NOW)
     with keystore.open_ledger() as ledger:
         refuse_shared(ledger, {"/talker": [key]}, NOW)
-
-
-def test_cas_of_several_sets_are_not_replaced_yet(keystore):
-    terms = Rollover(profile=HYBRID, validity=900 * DAY)
-    with pytest.raises(KeystoreError, match="further sets of credentials"):
-        plan_rollover(keystore, terms, now=NOW)
 
 
 # What is missing is a fault, and nothing is concluded from what lies there
