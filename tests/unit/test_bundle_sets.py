@@ -357,6 +357,23 @@ def test_a_bundle_with_something_wrong_in_one_set_is_refused(models, place, robo
     assert code in codes
 
 
+@pytest.mark.parametrize("of_set", [FIRST, SET])
+def test_a_first_bundle_with_a_list_in_one_set_alone_is_refused(keystore, robot, of_set):
+    bundle = with_set(bundled(keystore), {"crl.pem": None}, of_set)
+    codes, words = refused(robot, bundle, pins_in_use(keystore))
+    assert codes == {Code.LIST_MISSING}
+    assert "the revocation list is missing in one of the sets" in words
+
+
+@pytest.mark.parametrize("of_set", [FIRST, SET])
+def test_a_set_with_two_trusted_identity_cas_has_no_list(models, keystore, robot, of_set):
+    """In a rollover of its identity CA; the other set has its list."""
+    own = bundled(keystore).sets[of_set][TALKER]["identity_ca.cert.pem"]
+    both = own + models["one"].identity_ca.pem
+    overlap = with_set(bundled(keystore), {"identity_ca.cert.pem": both, "crl.pem": None}, of_set)
+    assert put(robot, overlap, overlap.roles).names == (TALKER,)
+
+
 def test_documents_of_two_sets_that_differ_are_refused(keystore, robot):
     """Each is validly signed; who reads the one set would have other rights than in the other."""
     pins, authorities = pins_in_use(keystore), keystore.unlock(None)
