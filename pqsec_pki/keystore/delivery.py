@@ -72,6 +72,8 @@ class ListDelivery:
     """By name."""
     accepted: tuple[AcceptedCertificate, ...]
     """What at least one of them accepts."""
+    profile: str = ""
+    """That of the CA of the list, if the keystore has several sets of credentials."""
 
     @property
     def without_receipt(self) -> int:
@@ -141,7 +143,8 @@ class ListDelivery:
             some = " ".join(names) + " " if len(names) <= MOST_SHOWN else ""
             found.append(f"{keystore} bundle {some}--outdated --no-keys --bundles bundles --force")
         if Way.COPY in ways:
-            found.append(f"{keystore} ca crl --show --force -o crl.pem")
+            of_set = f" --set {self.profile}" if self.profile else ""
+            found.append(f"{keystore} ca crl --show{of_set} --force -o crl.pem")
         return tuple(found)
 
     def _ways(self) -> Iterator[str]:
@@ -226,6 +229,7 @@ def list_delivery(
         robots=len(robots),
         late=tuple(late),
         accepted=tuple(each for each in revocations.every if each.serial in accepted),
+        profile=keystore.profile.name if keystore.sets[1:] else "",
     )
 
 

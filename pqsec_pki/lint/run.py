@@ -134,7 +134,13 @@ def _findings(
         *inventory.enclaves,
     )
     checked = counted(subjects, len(subjects), "subjects")
-    found = (each for each in _answers(running, checked) if is_about(each.stacks, targets))
+    found = (
+        each
+        for each in _answers(running, checked)
+        if is_about(each.stacks, targets)
+        # a further set is for the plugin: what a stock stack refuses in it, no stock stack loads
+        and not (each.rule.only_when_asked and inventory.is_of_further_set(each.path))
+    )
     return without_repetitions(found, inventory)
 
 

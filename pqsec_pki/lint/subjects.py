@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Alone
-from pqsec_pki.algorithms import unpem
+from pqsec_pki.algorithms import Profile, unpem
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -178,6 +178,19 @@ class Inventory:
     """The journal of an interrupted change of that keystore."""
     missing_parts: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
     """Keystore of pqsec -> the files that it lacks."""
+
+    def profile_of(self, path: Path) -> Profile | None:
+        """The profile of the set of credentials that has this file; None without a keystore."""
+        if self.keystore is None:
+            return None
+        first, *others = self.keystore.sets
+        own = (each for each in others if path.is_relative_to(each.folder))
+        return next(own, first).profile
+
+    def is_of_further_set(self, path: Path) -> bool:
+        """Whether the file is of a set of credentials that is not the keystore's first one."""
+        others = self.keystore.sets[1:] if self.keystore else ()
+        return any(path.is_relative_to(each.folder) for each in others)
 
     @cached_property
     def signed_documents(self) -> tuple[DocumentAndSigners, ...]:

@@ -61,15 +61,11 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
     [
         "bundle /talker",
         "ca rotate --profile pq",
-        "ca show --pins",
-        "ca crl --show -o x",
         "export cyclonedds /talker",
-        "report -o x",
         "estimate",
         "migrate plan --to pq",
         "domain import k",
         "receipt import x",
-        "sign-governance k/enclaves/governance.xml -o x.p7s",
     ],
 )
 def test_what_handles_one_set_refuses_several(pqsec, k, tmp_path, line):
@@ -145,3 +141,81 @@ def test_a_check_finds_what_a_set_lacks(pqsec, k):
     done = pqsec("check k")
     assert done.code == 1
     assert "PQS010 is missing; k has it" in done.out
+
+
+# What shows or copies what the sets have
+
+
+def test_each_list_of_the_sets_is_issued_shown_and_copied(pqsec, k, tmp_path):
+    out = pqsec("-k k ca crl").done().out
+    assert "k/public/identity_ca.crl.pem" in out
+    assert "k/sets/hybrid/public/identity_ca.crl.pem" in out
+    for profile, folder in (("classical", k), ("hybrid", k / "sets/hybrid")):
+        found = pqsec(f"-k k ca crl --show --set {profile} -o {profile}.pem --json").done().json
+        assert [found["number"], *(each["number"] for each in found["further"])] == [1, 1]
+        copy = (tmp_path / f"{profile}.pem").read_bytes()
+        assert copy == (folder / "public/identity_ca.crl.pem").read_bytes()
+    for command in found["delivery"]["commands"]:
+        pqsec(command.removeprefix("pqsec ")).done()
+    pqsec("-k k ca crl -o x.pem").refused(2, "name one with --set: classical, hybrid")
+    pqsec("-k k ca crl --show --set hybrid").refused(2, "--set chooses the list that --out writes")
+    pqsec("-k k ca crl --show --set pq -o x.pem").refused(3, "it has classical, hybrid")
+    assert not (tmp_path / "x.pem").exists()
+
+
+@pytest.mark.parametrize("folder", ["", "sets/hybrid/"])
+def test_a_list_that_one_set_lacks_is_not_shown_as_if_there_was_none(pqsec, k, folder):
+    pqsec("-k k ca crl").done()
+    (k / f"{folder}public/identity_ca.crl.pem").unlink()
+    told = pqsec("-k k ca crl --show").refused(3, f"{folder}public/identity_ca.crl.pem is missing")
+    assert "`pqsec ca crl`" in told.err
+    pqsec("-k k ca crl").done()
+    pqsec("-k k ca crl --show").done()
+
+
+def test_the_pins_are_those_of_the_cas_of_all_sets(pqsec, k):
+    pins = pqsec("-k k ca show --pins --json").done().json["pins"]
+    shown = pqsec("-k k ca show --json").done().json
+    cas = [ca for each in (shown, *shown["further"]) for ca in each["cas"]]
+    assert [each.partition(":")[2] for each in pins] == [each["sha256"] for each in cas]
+
+
+def test_metrics_have_what_ends_in_each_set(pqsec, k, tmp_path):
+    del k
+    pqsec("-k k ca crl").done()
+    pqsec("-k k status --prometheus m").done()
+    lines = [each for each in (tmp_path / "m").read_text().splitlines() if each[0] != "#"]
+    series = [each.rpartition(" ")[0] for each in lines]
+    assert len(set(series)) == len(series)
+    ends = [each for each in series if each.startswith("pqsec_not_after_seconds")]
+    further = [each for each in ends if 'set="hybrid"' in each]
+    assert len(further) == len(ends) - len(further) == 5
+    for kind in ("identity-ca", "permissions-ca", "crl", "participant"):
+        assert any(f'kind="{kind}"' in each for each in further)
+
+
+def test_a_report_is_of_all_sets_and_complete(pqsec, k):
+    del k
+    found = pqsec("-k k report --json").done().json
+    assert found["complete"]
+    assert [found["profile"], *found["further_profiles"]] == TWO.split(",")
+
+
+def test_a_file_elsewhere_is_signed_for_the_set_that_is_named(pqsec, k, tmp_path):
+    line = "-k k sign-governance k/enclaves/governance.xml -o x.p7s"
+    pqsec(line).refused(2, "name one with --set: classical, hybrid")
+    pqsec(f"{line} --set hybrid").done()
+    ca = k / "sets/hybrid/public/permissions_ca.cert.pem"
+    pqsec(f"verify x.p7s --ca {ca}").done()
+    assert (tmp_path / "x.p7s").exists()
+
+
+def test_questions_about_rights_are_refused_where_the_sets_differ(pqsec, k):
+    pqsec("-k k explain /talker --publish chatter --domain 0").done()
+    folder = k / "sets/hybrid/enclaves"
+    (folder / "talker/permissions.p7s").write_bytes(
+        (folder / "listener/permissions.p7s").read_bytes()
+    )
+    for line in ("explain /talker --publish chatter --domain 0", "permit /talker --publish x"):
+        pqsec(f"-k k {line}").refused(1, "give different rights")
+    assert "give different rights" in pqsec("-k k who-may").err

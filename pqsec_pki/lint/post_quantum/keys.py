@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 
 from pqsec_pki.algorithms import Family as Strength
-from pqsec_pki.algorithms import SignatureAlgorithm
+from pqsec_pki.algorithms import Profile, SignatureAlgorithm
 from pqsec_pki.errors import PqsecError
 from pqsec_pki.lint._keys import alternative_key_of, family_of, key_kind
 from pqsec_pki.lint.roles import CertificateRole
@@ -75,24 +75,25 @@ def post_quantum_documents(file: CertificateFile) -> Iterator[Violation]:
     good="$ pqsec -k k issue --force --publish chatter /talker",
 )  # fmt: skip
 def below_profile(inventory: Inventory) -> Iterator[Violation]:
-    if inventory.keystore is None:
-        return
-    profile = inventory.keystore.profile
+    for file in inventory.certificates:
+        if profile := inventory.profile_of(file.path):
+            yield from _below(profile, file)
+
+
+def _below(profile: Profile, file: CertificateFile) -> Iterator[Violation]:
+    """The keys of the file that are weaker than those of the profile of its set."""
     wanted = {
         CertificateRole.PARTICIPANT: (profile.participant_key, profile.alternative_key),
         CertificateRole.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
         CertificateRole.PERMISSIONS_CA: (profile.permissions_key, None),
         CertificateRole.COUNTERSIGNER: (profile.alternative_key, None),
     }
-    for file in inventory.certificates:
-        role = file.role
-        rows = wanted.get(role, (None, None))
-        for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
-            if row and (level := _level(found)) < row.level:
-                words = f"the {role}'s {what} is of security level {level}, not {row.level}"
-                yield Violation(
-                    f"{words} as in profile {profile.name} ({row.name})", path=file.path
-                )
+    role = file.role
+    rows = wanted.get(role, (None, None))
+    for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
+        if row and (level := _level(found)) < row.level:
+            words = f"the {role}'s {what} is of security level {level}, not {row.level}"
+            yield Violation(f"{words} as in profile {profile.name} ({row.name})", path=file.path)
 
 
 @lint_rule(
