@@ -11,7 +11,7 @@ from pqsec_pki.cbom import bill_of
 from pqsec_pki.cli._printing import as_json
 from pqsec_pki.documents import DomainSet, Kind
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
-from pqsec_pki.keystore import Keystore, superseded_certificates
+from pqsec_pki.keystore import Keystore, signed_governance, superseded_certificates
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     add_set,
@@ -22,6 +22,7 @@ from pqsec_pki.lifecycle import (
     revoke,
     sign_document,
 )
+from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, grows
 from pqsec_pki.lint import check, largest_messages
 from pqsec_pki.policy import differences_between, fleet_in, policy_input_of
 from pqsec_pki.report import changes_since, csv_of, html_of, read_earlier, report_of
@@ -352,3 +353,23 @@ def test_a_document_in_the_place_of_any_set_is_signed_in_all(two, kind, place, n
     assert texts not in ({old}, set())
     assert len(texts) == 1
     assert policy_input_of(two, "/talker", LATER)
+
+
+@pytest.mark.parametrize("kind", ["governance", "permissions"])
+def test_rights_that_differ_between_the_sets_may_grow(two, kind):
+    """So their change needs approvals, whatever the first set says."""
+    spec = ParticipantSpec(
+        name="/talker", domains=DomainSet.of(0), validity=DAY, publish=("chatter",)
+    )
+    governance = signed_governance(two)
+
+    def found():
+        if kind == "governance":
+            return changed_protection(two, governance)
+        [(_, difference)] = changed_rights(two, [spec], now=LATER)
+        return difference
+
+    assert not grows(found())
+    place = "enclaves/governance.p7s" if kind == "governance" else "enclaves/talker/permissions.p7s"
+    other_document(two, 1, place)
+    assert grows(found())
