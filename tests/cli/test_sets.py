@@ -219,3 +219,17 @@ def test_questions_about_rights_are_refused_where_the_sets_differ(pqsec, k):
     for line in ("explain /talker --publish chatter --domain 0", "permit /talker --publish x"):
         pqsec(f"-k k {line}").refused(1, "give different rights")
     assert "give different rights" in pqsec("-k k who-may").err
+
+
+def test_status_and_metrics_say_that_the_settings_hide_a_set(pqsec, k, tmp_path):
+    settings = json.loads((k / "pqsec.json").read_bytes())
+    settings["algorithms"] = settings["algorithms"][:1]
+    (k / "pqsec.json").write_text(json.dumps(settings))
+    done = pqsec("-k k status --prometheus m")
+    assert "NOT AS SIGNED" in done.out
+    assert "lacks the set of credentials hybrid" in done.out
+    assert "pqsec_ledger_whole" in (tmp_path / "m").read_text()
+    [line] = [
+        e for e in (tmp_path / "m").read_text().splitlines() if e.startswith("pqsec_ledger_w")
+    ]
+    assert line.endswith(" 0")

@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import re
 
 import pytest
 
@@ -11,7 +12,12 @@ from pqsec_pki.cbom import bill_of
 from pqsec_pki.cli._printing import as_json
 from pqsec_pki.documents import DomainSet, Kind
 from pqsec_pki.errors import KeystoreError, UsageError, VerificationError
-from pqsec_pki.keystore import Keystore, signed_governance, superseded_certificates
+from pqsec_pki.keystore import (
+    Keystore,
+    faults_of_ledger,
+    signed_governance,
+    superseded_certificates,
+)
 from pqsec_pki.lifecycle import (
     ParticipantSpec,
     add_set,
@@ -21,6 +27,7 @@ from pqsec_pki.lifecycle import (
     renew_list,
     revoke,
     sign_document,
+    sign_head,
 )
 from pqsec_pki.lifecycle.growing import changed_protection, changed_rights, grows
 from pqsec_pki.lint import check, largest_messages
@@ -373,3 +380,31 @@ def test_rights_that_differ_between_the_sets_may_grow(two, kind):
     place = "enclaves/governance.p7s" if kind == "governance" else "enclaves/talker/permissions.p7s"
     other_document(two, 1, place)
     assert grows(found())
+
+
+# A set that the settings, which nobody signs, no longer name
+
+
+@pytest.fixture
+def hidden(two):
+    """The keystore with settings that name its first set only."""
+    path = two.root / "pqsec.json"
+    settings = json.loads(path.read_bytes())
+    settings["algorithms"] = settings["algorithms"][:1]
+    path.write_text(json.dumps(settings))
+    return Keystore.open(two.root)
+
+
+def test_a_set_that_the_settings_hide_is_missed_by_what_shows_the_keystore(hidden):
+    words = r"pqsec\.json lacks the set of credentials hybrid"
+    assert any(re.search(words, each) for each in faults_of_ledger(hidden))
+    assert ("PQS008", "pqsec.json") in findings(hidden)
+    evidence = report_of(hidden, now=LATER).evidence
+    assert any(re.search(words, each) for each in evidence.audit)
+    with pytest.raises(KeystoreError, match=words):
+        fleet_in(hidden, LATER, SPEC)
+
+
+def test_a_head_is_not_signed_without_a_set_that_the_settings_hide(hidden):
+    with pytest.raises((KeystoreError, VerificationError), match="lacks the set"):
+        sign_head(hidden, hidden.unlock(None))
