@@ -233,3 +233,27 @@ def test_status_and_metrics_say_that_the_settings_hide_a_set(pqsec, k, tmp_path)
         e for e in (tmp_path / "m").read_text().splitlines() if e.startswith("pqsec_ledger_w")
     ]
     assert line.endswith(" 0")
+
+
+@pytest.mark.parametrize("profile", TWO.split(","))
+def test_a_report_is_signed_and_verified_for_the_set_that_is_named(pqsec, k, tmp_path, profile):
+    del k
+    pqsec("-k k report --sign -o r.html").refused(2, "name one with --set: classical, hybrid")
+    pqsec(f"-k k report --set {profile} -o r.html").refused(2, "--set chooses the CA that signs")
+    assert not (tmp_path / "r.html").exists()
+    pqsec(f"-k k report --sign --set {profile} -o r.html").done()
+    pqsec("-k k verify r.html.p7s").refused(2, "name one with --set: classical, hybrid")
+    for each in TWO.split(","):
+        done = pqsec(f"-k k verify r.html.p7s --set {each}")
+        assert done.code == (0 if each == profile else 1)
+
+
+def test_a_document_is_verified_by_the_ca_of_the_set_that_has_it(pqsec, k):
+    del k
+    for folder in ("", "sets/hybrid/"):
+        pqsec(f"-k k verify k/{folder}enclaves/governance.p7s").done()
+    pqsec("-k k verify k/enclaves/governance.p7s --set hybrid").refused(1)
+    line = (
+        "-k k verify k/enclaves/governance.p7s --set hybrid --ca k/public/permissions_ca.cert.pem"
+    )
+    pqsec(line).refused(2, "--ca and --set exclude each other")
