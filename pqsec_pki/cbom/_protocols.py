@@ -33,17 +33,18 @@ Suite = tuple[SignatureAlgorithm, KeyAgreement]
 
 
 def add_authentication(
-    assets: Assets, certificates: Iterable[tuple[Certificate, str]], profile: Profile | None
+    assets: Assets, certificates: Iterable[tuple[Certificate, str, Profile | None]]
 ) -> None:
     """Add the handshake, with a suite for each key of participants and its key agreements.
 
     A plain classical key is for stock peers, which have the key agreements of the standard. Other
-    keys use the key agreement of `profile`, the keystore's, else that of the profile with such
-    keys. What both sides choose at run time can be restricted further.
+    keys use the key agreement of the profile beside the certificate, that of its set of
+    credentials, else of the profile with such keys. What both sides choose at run time can be
+    restricted further.
     """
     suites: dict[str, Suite] = {}
     places: set[str] = set()
-    for certificate, place in certificates:
+    for certificate, place, profile in certificates:
         places.add(place)
         for row, agreement in _suites(certificate, profile):
             suites[f"{row.wire_name} with {agreement.wire_name}"] = (row, agreement)

@@ -7,14 +7,14 @@ from pathlib import Path
 
 from pqsec_pki._files import is_folder
 from pqsec_pki._progress import counted
-from pqsec_pki.algorithms import is_encrypted, unpem
+from pqsec_pki.algorithms import Profile, is_encrypted, unpem
 from pqsec_pki.cbom import _material, _protocols
 from pqsec_pki.cbom._assets import Assets
 from pqsec_pki.certificates import Certificate, CertificateRequest, RevocationList
 from pqsec_pki.credentials import ALT_KEY, CERTIFICATE, KEY
 from pqsec_pki.documents import DomainRule
 from pqsec_pki.errors import MalformedError, PqsecError
-from pqsec_pki.keystore import GENERATIONS
+from pqsec_pki.keystore import GENERATIONS, layout
 from pqsec_pki.lint import CertificateFile, File, GovernanceFile, Inventory, take_inventory
 from pqsec_pki.tokens import is_reference
 
@@ -27,10 +27,17 @@ def read_assets(paths: tuple[Path, ...], now: datetime) -> tuple[Assets, list[tu
 
     The CAs that a keystore has replaced count too: their keys are still there.
     """
-    replaced = [path / GENERATIONS for path in paths if is_folder(path / GENERATIONS)]
+    replaced = [each for path in paths for each in _replaced(path)]
     reader = _Reader(paths, take_inventory([*paths, *replaced], now=now))
     reader.read()
     return reader.assets, reader.unread
+
+
+def _replaced(path: Path) -> Iterator[Path]:
+    """The folders of replaced CAs, in a keystore, of each set of credentials."""
+    if is_folder(path / GENERATIONS):
+        yield path / GENERATIONS
+    yield from sorted(path.glob(f"{layout.SETS}/*/{GENERATIONS}"))
 
 
 class _Reader:
@@ -57,10 +64,7 @@ class _Reader:
         if self._inventory.interrupted_change:
             reason = "a change was interrupted: the next command that writes finishes it"
             self.unread.append((self._inventory.interrupted_change, reason))
-        keystore = self._inventory.keystore
-        _protocols.add_authentication(
-            self.assets, self._participants(), keystore.profile if keystore else None
-        )
+        _protocols.add_authentication(self.assets, self._participants())
         _protocols.add_protection(self.assets, self._domain_rules())
 
     def _file(self, file: File) -> None:
@@ -147,11 +151,13 @@ class _Reader:
         found = self._certificates.get(path)
         return found.first if found else None
 
-    def _participants(self) -> Iterator[tuple[Certificate, str]]:
+    def _participants(self) -> Iterator[tuple[Certificate, str, Profile | None]]:
+        """Certificates, their places, and the profiles of their sets of credentials."""
         for file in self._inventory.certificates:
+            profile = self._inventory.profile_of(file.path)
             for each in file.certificates:
                 if not each.is_self_issued:
-                    yield each, self._place(file.path)
+                    yield each, self._place(file.path), profile
 
     def _domain_rules(self) -> Iterator[tuple[DomainRule, str]]:
         for document in self._inventory.documents:

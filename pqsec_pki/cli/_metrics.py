@@ -118,11 +118,19 @@ def _lines(
 
 
 def _ends(root: str, standing: Status) -> Iterator[Sample]:
-    for kind, name, end in (
-        *((each.kind, each.name, each.not_after) for each in standing.shared),
-        *(("participant", each.name, each.not_after) for each in standing.participants),
-    ):
-        yield {"keystore": root, "kind": kind, "name": name}, int(end.timestamp())
+    """What ends, of all sets of credentials; those of further ones have the label `set`."""
+    for term in standing.shared:
+        labels = {"keystore": root, "kind": term.kind, "name": term.name}
+        yield _of_set(labels, term.set_name), int(term.not_after.timestamp())
+    for person in standing.participants:
+        labels = {"keystore": root, "kind": "participant", "name": person.name}
+        yield labels, int(person.not_after.timestamp())
+        for each in person.further:
+            yield _of_set(labels, each.set_name), int(each.not_after.timestamp())
+
+
+def _of_set(labels: dict[str, str], set_name: str) -> dict[str, str]:
+    return {**labels, "set": set_name} if set_name else labels
 
 
 def _participants(

@@ -25,8 +25,8 @@ from pqsec_pki.keystore import (
     SigningCa,
     key_algorithms,
     list_delivery,
+    one_set,
     overview_of,
-    refuse_further_sets,
 )
 from pqsec_pki.lifecycle import renew_list
 
@@ -247,48 +247,52 @@ def show(*, pins: bool) -> None:
 @click.option("--show", is_flag=True, help="Show the current list, and do not issue a new one.")
 @list_validity_option
 @click.option("-o", "--out", type=_settings.FILE, help="Also write the list to this file, in PEM.")
+@click.option(
+    "--set", "profile", metavar="PROFILE", help="Write the list of the CA of this profile to --out."
+)
 @click.option("--force", is_flag=True, help="Replace an existing file at --out.")
 @_passphrases.option
 @_settings.command_options
-def crl(
+def crl(  # noqa: PLR0913 -- one for each option, by name
     validity: timedelta,
     out: Path | None,
+    profile: str | None,
     passphrase_file: Path | None,
     *,
     show: bool,
     force: bool,
 ) -> None:
-    """Issue a new revocation list, or show the current one.
+    """Issue a new revocation list, or show the current one: one for each set of credentials.
 
     Without revoked certificates the list is empty. Stacks refuse all peers once their list
     has expired: issue a list early only if you will renew it in time.
     """
     keystore = _settings.open_keystore(to_change=not show)
-    if out:
-        refuse_further_sets(keystore, "--out copies")
+    if profile and not out:
+        raise UsageError("--set chooses the list that --out writes")
+    chosen = one_set(keystore, profile) if out else None
     if out and not force:
         refuse_existing(out)
-    found = _current_list(keystore) if show else None
-    if show and found is None:
-        raise KeystoreError(
-            "there is no revocation list",
-            hint="`pqsec revoke` issues one, or `pqsec ca crl` an empty one",
-        )
-    if found is None:
+    if not show:
         authorities = _passphrases.unlock_with_signers(
             keystore, passphrase_file, SigningCa.IDENTITY
         )
         with keystore.hold():  # so that the ledger, as it is then, is not read again
-            found = renew_list(keystore, authorities, now=_settings.now(), validity=validity)
+            renew_list(keystore, authorities, now=_settings.now(), validity=validity)
+            lists = [(each, _current_list(each)) for each in keystore.sets]
             delivery = list_delivery(keystore, now=_settings.now())
     else:
+        lists = [(each, _current_list(each)) for each in keystore.sets]
         delivery = list_delivery(keystore, now=_settings.now())
     if out:
+        [copied] = [found for each, found in lists if each == chosen]
         with _printing.with_hint("the list is issued: `pqsec ca crl --show -o FILE` writes a copy"):
-            write(out, found.pem, force=force)
-    value = {"list": keystore.revocation_list_path, **found.to_json(), "delivery": delivery}
-    lists = [(each, made) for each in keystore.sets[1:] if (made := each.revocation_list)]
-    lines = [list_line(each, made) for each, made in ((keystore, found), *lists)]
+            write(out, copied.pem, force=force)
+    first, *further = [
+        {"list": each.revocation_list_path, **found.to_json()} for each, found in lists
+    ]
+    lines = [list_line(each, found) for each, found in lists]
+    value = {**first, "delivery": delivery, "further": further}
     _printing.emit(value, [*lines, *(delivery.lines if delivery else ())])
 
 
@@ -315,9 +319,17 @@ def recover() -> None:
     _printing.emit({"keystore": path, "finished": finished}, [f"{path}: {line}"])
 
 
-def _current_list(keystore: Keystore) -> RevocationList | None:
+def _current_list(keystore: Keystore) -> RevocationList:
+    """The newest list of that set; KeystoreError if there is none."""
     with CurrentFiles.of(keystore) as current:
-        return current.revocation_list
+        found = current.revocation_list
+    if found is None:
+        of_set = f" of profile {keystore.profile.name}" if keystore.sets[1:] else ""
+        raise KeystoreError(
+            f"there is no revocation list{of_set}",
+            hint="`pqsec revoke` issues one, or `pqsec ca crl` an empty one",
+        )
+    return found
 
 
 def _show_pins(keystore: Keystore) -> None:

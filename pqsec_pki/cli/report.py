@@ -15,7 +15,7 @@ from pqsec_pki.certificates import verify_authority
 from pqsec_pki.cli import _help, _migration_options, _passphrases, _printing, _settings
 from pqsec_pki.credentials import only_certificate
 from pqsec_pki.errors import KeystoreError, TooLargeError, UsageError, located
-from pqsec_pki.keystore import Keystore, SigningCa
+from pqsec_pki.keystore import Keystore, SigningCa, one_set
 from pqsec_pki.report import (
     MAX_REPORT,
     Changes,
@@ -91,6 +91,12 @@ _FORMATS = ("html", "json", "csv")
     metavar="CERT KEY",
     help="Sign it with this CA's certificate and private key instead.",
 )
+@click.option(
+    "--set",
+    "profile",
+    metavar="PROFILE",
+    help="Sign it with the permissions CA of this profile, if the keystore has several.",
+)
 @_passphrases.option
 @_settings.command_options
 def report(  # noqa: PLR0913 -- one for each option, by name
@@ -100,6 +106,7 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     signer: tuple[Path, Path] | None,
     passphrase_file: Path | None,
     *,
+    profile: str | None,
     target: str | None,
     stacks: tuple[str, ...],
     domain_file: Path | None,
@@ -116,10 +123,15 @@ def report(  # noqa: PLR0913 -- one for each option, by name
     is_signed = is_signed or signer is not None
     form = "json" if _settings.settings().json else form or _named_form(output)
     _refuse_places(form, output, is_signed=is_signed, force=force)
+    if profile and (signer or not is_signed):
+        raise UsageError("--set chooses the CA that signs with --sign")
     before = read_earlier(earlier) if earlier else None
     keystore = _settings.open_keystore()
     planning = _planning(keystore, target, stacks, domain_file)
-    signing = _signing(keystore, signer, passphrase_file) if is_signed else None
+    signing = None
+    if is_signed:
+        signed_by = keystore if signer else one_set(keystore, profile)
+        signing = _signing(signed_by, signer, passphrase_file)
     command = join(["pqsec", *sys.argv[1:]])
     found = report_of(keystore, now=_settings.now(), command=command, migration=planning)
     changes = changes_since(before, found, keystore) if before else None
@@ -195,7 +207,8 @@ def _signing(
 ) -> Callable[[bytes], bytes]:
     """A function that signs a text as S/MIME, with its certificate in it."""
     if signer is None:
-        authorities = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS)
+        every = _passphrases.unlock(keystore, passphrase_file, SigningCa.PERMISSIONS).sets
+        authorities = next(each for each in every if each.set_name == keystore.set_name)
         return partial(authorities.sign, now=_settings.now(), embed_certificate=True)
     place, key_file = signer
     certificate = only_certificate(read(place), str(place))

@@ -39,6 +39,12 @@ def _options(command: _settings.Command) -> _settings.Command:
             type=_settings.FILE,
             help="Write to this file. [default: FILE with .p7s]",
         ),
+        click.option(
+            "--set",
+            "profile",
+            metavar="PROFILE",
+            help="Sign a file outside of the keystore with the CA of this profile.",
+        ),
         click.argument("file", type=_settings.FILE),
     ):
         command = option(command)
@@ -108,6 +114,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
     passphrase_file: Path | None,
     embed_certificate: bool,
     force: bool,
+    profile: str | None,
 ) -> None:
     refuse_obeyed([file], "what the CA signs")
     document = document_at(file, kind)
@@ -127,6 +134,7 @@ def _sign(  # noqa: PLR0913 -- one for each option
         now=_settings.now(),
         embed_certificate=embed_certificate,
         force=force,
+        profile=profile,
     )
     _note_other_xml(goal, document, check, value)
     for pattern in dict.fromkeys(filter(follows_locale, _patterns(value))):

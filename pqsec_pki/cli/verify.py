@@ -1,5 +1,6 @@
 """pqsec verify: check the signatures of a document."""
 
+import os
 from dataclasses import replace
 from pathlib import Path
 from shlex import quote
@@ -16,8 +17,8 @@ from pqsec_pki.credentials import (
     TrustAnchors,
 )
 from pqsec_pki.documents import validate
-from pqsec_pki.errors import PqsecError, VerificationError, located
-from pqsec_pki.keystore import load_certificate
+from pqsec_pki.errors import PqsecError, UsageError, VerificationError, located
+from pqsec_pki.keystore import load_certificate, one_set
 from pqsec_pki.report import refuse_changed, signature_path
 from pqsec_pki.smime import FoundSignature, Require, Verified
 
@@ -53,8 +54,16 @@ from pqsec_pki.smime import FoundSignature, Require, Verified
     help="Refuse a file without this kind of signature. [default: as the keystore's CAs sign;"
     " both with --alt-ca; any with --ca]",
 )
+@click.option(
+    "--set",
+    "profile",
+    metavar="PROFILE",
+    help="Trust the permissions CA of this profile. [default: of the set that has the file]",
+)
 @_settings.command_options
-def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None) -> None:
+def verify(
+    file: Path, ca: Path | None, profile: str | None, alt_ca: Path | None, require: str | None
+) -> None:
     """Check who signed a governance or permissions document.
 
     FILE can also be the signature that `pqsec report --sign` writes: the report, which must be
@@ -66,7 +75,9 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
     """
     # Without a keystore, --alt-ca means that a countersignature is expected.
     demanded = Require(require) if require else Require.ANY if ca and not alt_ca else None
-    anchors, paths = _of_files(ca, alt_ca) if ca else _of_keystore(alt_ca)
+    if ca and profile:
+        raise UsageError("--ca and --set exclude each other")
+    anchors, paths = _of_files(ca, alt_ca) if ca else _of_keystore(file, profile, alt_ca)
     message = read(file)
     try:
         _refuse_signers(anchors, paths)
@@ -84,9 +95,26 @@ def verify(file: Path, ca: Path | None, alt_ca: Path | None, require: str | None
     _print_signatures(report or file, verified, anchors, is_report=report is not None)
 
 
-def _of_keystore(alt_ca: Path | None) -> tuple[TrustAnchors, dict[str, Path]]:
-    """The keystore's CAs, and the files of those that sign documents."""
+def _of_keystore(
+    file: Path, profile: str | None, alt_ca: Path | None
+) -> tuple[TrustAnchors, dict[str, Path]]:
+    """The CAs of that set of the keystore, and the files of those that sign documents.
+
+    Without `profile`, of the set that has the file. UsageError for a file elsewhere, if there are
+    several sets: a signature of the weakest would do.
+    """
     keystore = _settings.open_keystore(instead="the signer's certificate: --ca FILE")
+    if profile is None and (place := Path(os.path.realpath(file))).is_relative_to(
+        os.path.realpath(keystore.root)
+    ):
+        own = (
+            each
+            for each in keystore.sets[1:]
+            if place.is_relative_to(os.path.realpath(each.folder))
+        )
+        keystore = next(own, keystore)
+    else:
+        keystore = one_set(keystore, profile)
     anchors = keystore.anchors
     if alt_ca:
         anchors = replace(anchors, countersigner=load_certificate(alt_ca))

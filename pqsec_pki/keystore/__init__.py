@@ -160,10 +160,15 @@ if TYPE_CHECKING:
         registrations_of,
     )
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
-    from pqsec_pki.keystore.set_faults import faults_of_sets
+    from pqsec_pki.keystore.set_faults import (
+        faults_of_sets,
+        refuse_other_governance,
+        refuse_other_permissions,
+    )
     from pqsec_pki.keystore.set_lines import SetLine
     from pqsec_pki.keystore.sets import (
         further,
+        one_set,
         refuse_further_sets,
         stage_cas,
         stage_governance,
@@ -290,6 +295,7 @@ __all__ = [
     "moved_entry",
     "nearest",
     "older_copies",
+    "one_set",
     "order_entry",
     "order_in",
     "overview_of",
@@ -302,6 +308,8 @@ __all__ = [
     "read_anchors",
     "read_head",
     "refuse_further_sets",
+    "refuse_other_governance",
+    "refuse_other_permissions",
     "refuse_overlap",
     "registration",
     "registrations",

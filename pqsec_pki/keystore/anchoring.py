@@ -14,7 +14,7 @@ from pqsec_pki.certificates import Certificate
 from pqsec_pki.errors import MalformedError, VerificationError, located
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._settings import set_names
-from pqsec_pki.keystore.heads import read_head, signers_in, signing_keys
+from pqsec_pki.keystore.heads import other_sets, read_head, signers_in, signing_keys
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.transparency import Checkpoint, HeadExtension, MerkleTree, TreeHead, leaf_of
 
@@ -120,8 +120,14 @@ def ledger_tree(keystore: Keystore) -> MerkleTree:
 
 
 def faults_of_ledger(keystore: Keystore) -> list[str]:
-    """Differences of the ledger from the newest head in the keystore; empty without any."""
-    return [*head_problems(keystore, ledger_tree(keystore), _NONE)]
+    """Differences of the ledger from the settings and from the newest head in the keystore.
+
+    Empty without any. Whose signatures a head needs is in the settings: the sets that they name.
+    """
+    with keystore.as_found.open_ledger() as ledger:
+        others = other_sets(keystore.root, ledger)
+    found = [str(others)] if others else []
+    return [*found, *head_problems(keystore, ledger_tree(keystore), _NONE)]
 
 
 def head_problems(

@@ -77,6 +77,8 @@ class ListDelivery:
     """By name."""
     accepted: tuple[AcceptedCertificate, ...]
     """What at least one of them accepts."""
+    profiles: tuple[str, ...] = ()
+    """Of the keystore's sets of credentials."""
 
     @property
     def without_receipt(self) -> int:
@@ -146,12 +148,20 @@ class ListDelivery:
             some = " ".join(names) + " " if len(names) <= MOST_SHOWN else ""
             found.append(f"{keystore} bundle {some}--outdated --no-keys --bundles bundles --force")
         if Way.COPY in ways:
-            found.append(f"{keystore} ca crl --show --force -o crl.pem")
+            found += self._copies
         return tuple(found)
+
+    @property
+    def _copies(self) -> list[str]:
+        """The commands that copy the list of each set."""
+        copy = f"pqsec -k {shlex.quote(str(self.keystore))} ca crl --show --force"
+        if not self.profiles[1:]:
+            return [f"{copy} -o crl.pem"]
+        return [f"{copy} --set {each} -o {each}.crl.pem" for each in self.profiles]
 
     def _ways(self) -> Iterator[str]:
         count = Counter(each.way for each in self.late)
-        first, last = self.commands[0], self.commands[-1]
+        first, copies = self.commands[0], " and ".join(self._copies)
         if count[Way.FETCH]:
             words = "enrolled over a network: `pqsec renew --from` fetches it there, or a bundle"
             yield f"{count[Way.FETCH]} {words}"
@@ -163,7 +173,7 @@ class ListDelivery:
         if count[Way.COPY]:
             yield (
                 f"for {count[Way.COPY]} with keys from here, beside cert.pem in the enclave of each"
-                f" copy (ROS 2 too): {last}"
+                f" copy (ROS 2 too): {copies}"
             )
         yield (
             "stacks read crl.pem when a participant starts: restart it; if a configuration for"
@@ -232,6 +242,7 @@ def list_delivery(
         robots=len(robots),
         late=tuple(late),
         accepted=tuple(each for each in every if each.serial in accepted),
+        profiles=tuple(each.name for each in keystore.profiles),
     )
 
 

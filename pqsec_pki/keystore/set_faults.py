@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import TypeVar
 
 from pqsec_pki._files import exists, read
-from pqsec_pki.errors import PqsecError
+from pqsec_pki.errors import PqsecError, VerificationError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore.compromised import all_hashes
 from pqsec_pki.keystore.keystore import Keystore
 from pqsec_pki.keystore.overlap import Overlap
 from pqsec_pki.keystore.participant import load_certificate
+from pqsec_pki.problems import Code
 from pqsec_pki.smime import document_in
 
 Found = TypeVar("Found")
@@ -41,6 +42,43 @@ def faults_of_sets(
         there = sorted({*_names(first), *_names(each)}) if names is None else names
         yield from _missing(first, each, there)
         yield from _different(first, each, there)
+
+
+def refuse_other_governance(keystore: Keystore) -> None:
+    """VerificationError if the governance of another set says something else, or is missing.
+
+    For questions that the documents of one set answer: they are true if all sets say the same.
+    """
+    for other in _others(keystore):
+        _refuse_other(keystore, other, _GOVERNANCE)
+
+
+def refuse_other_permissions(keystore: Keystore, name: str) -> None:
+    """VerificationError if the participant's permissions in another set say something else, or are
+    missing. A set in which it has no file says nothing: `pqsec check` finds that."""
+    for other in _others(keystore):
+        if other.has(name):
+            place = f"{layout.enclave_folder(layout.enclave_name(name))}/{layout.PERMISSIONS}"
+            _refuse_other(keystore, other, place)
+
+
+def _others(keystore: Keystore) -> list[Keystore]:
+    return [each for each in keystore.sets if each.set_name != keystore.set_name]
+
+
+def _refuse_other(keystore: Keystore, other: Keystore, place: str) -> None:
+    mine, theirs = keystore.folder / place, other.folder / place
+    if not exists(theirs):
+        words = f"{theirs} is missing"
+    elif _document(mine) != _document(theirs):
+        words = f"{theirs} says something else than {mine}"
+    else:
+        return
+    raise VerificationError(
+        f"{words}: the sets of credentials give different rights",
+        code=Code.CONTENT_CHANGED,
+        hint="`pqsec check` finds what differs; sign the document again: it is signed in all sets",
+    )
 
 
 def _missing(first: Keystore, other: Keystore, names: Iterable[str]) -> Iterator[tuple[Path, str]]:

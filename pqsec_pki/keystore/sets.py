@@ -93,6 +93,19 @@ def stage_governance(
     part.record(replace(entry, details={"mark": config_digest}) if config_digest else entry)
 
 
+def one_set(keystore: "Keystore", profile: str | None) -> "Keystore":
+    """The set of that profile, or the only one; UsageError if there are several, and none is named.
+
+    KeystoreError if there is no such set.
+    """
+    if profile is not None:
+        return keystore.of_profile(profile)
+    if len(keystore.sets) > 1:
+        names = ", ".join(each.name for each in keystore.profiles)
+        raise UsageError(f"the keystore has several sets: name one with --set: {names}")
+    return keystore
+
+
 def refuse_further_sets(keystore: "Keystore", what: str) -> None:
     """KeystoreError if the keystore has several sets of credentials.
 

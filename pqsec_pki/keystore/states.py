@@ -117,6 +117,8 @@ class ParticipantState:
     files: Files
     further: "tuple[ParticipantState, ...]" = ()
     """Its states in the further sets of credentials; `state` and `files` are those of all sets."""
+    set_name: str = ""
+    """The set that it is about; empty for the first one."""
 
     def is_on(self, domain: int) -> bool:
         """Whether `domains` has this domain; False if the domains are not known."""
@@ -203,6 +205,7 @@ def participant_states(  # noqa: PLR0913 -- the rarer ones by name
             permissions=permissions,
             permissions_line=line,
             files=files,
+            set_name=keystore.set_name,
         )
 
 

@@ -14,18 +14,24 @@ from pqsec_pki.keystore.states import participant_states
 
 def superseded_certificates(keystore: Keystore, *, now: datetime) -> dict[str, tuple[Entry, ...]]:
     """The ledger lines of each participant's certificates before its current one, oldest first,
-    that are valid at `now`: not expired, not revoked, of the CA that issues now.
+    that are valid at `now`: not expired, not revoked, of the CA that issues now. Of all sets of
+    credentials, those of the first one first.
 
     KeystoreError for a damaged ledger.
     """
+    found: dict[str, tuple[Entry, ...]] = {}
     with keystore.open_ledger() as ledger:
-        return superseded_in(keystore, ledger, now=now)
+        for each in keystore.sets:
+            own = superseded_in(each, ledger.of(each.set_name), now=now)
+            for name, entries in own.items():
+                found[name] = (*found.get(name, ()), *entries)
+    return found
 
 
 def superseded_in(
     keystore: Keystore, ledger: Ledger, *, now: datetime
 ) -> dict[str, tuple[Entry, ...]]:
-    """Like `superseded_certificates`, with the ledger of a change."""
+    """Like `superseded_certificates`, of one set, about which `ledger` answers."""
     issuer = keystore.identity_ca.fingerprint
     found = [
         (number, each)

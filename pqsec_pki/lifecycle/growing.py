@@ -12,7 +12,14 @@ from pqsec_pki.access.governance_diff import governance_diff
 from pqsec_pki.approvals import Covered
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Keystore, governance_digest, layout, signed_governance
+from pqsec_pki.keystore import (
+    Keystore,
+    governance_digest,
+    layout,
+    refuse_other_governance,
+    refuse_other_permissions,
+    signed_governance,
+)
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle.issuing import ParticipantSpec, permissions_for
 
@@ -43,7 +50,8 @@ def _changed(inspector: Inspector, name: str, spec: ParticipantSpec) -> Differen
     folder = inspector.keystore.folder / layout.enclave_folder(name)
     old: Permissions | None = None
     certificate = inspector.certificate(name, folder)
-    with suppress(PqsecError):
+    with suppress(PqsecError):  # what is not known, or differs between the sets, may grow
+        refuse_other_permissions(inspector.keystore, name)
         old = inspector.permissions(name, folder)
     return permissions_diff(old, permissions_for(spec, certificate))
 
@@ -51,6 +59,7 @@ def _changed(inspector: Inspector, name: str, spec: ParticipantSpec) -> Differen
 def changed_protection(keystore: Keystore, governance: Governance) -> Difference:
     """What a new governance changes."""
     with suppress(PqsecError):
+        refuse_other_governance(keystore)
         if governance_digest(keystore) is not None:
             return governance_diff(signed_governance(keystore), governance)
     return Difference((), complete=False)

@@ -22,6 +22,7 @@ from pqsec_pki.keystore import (
     StagedFolder,
     change,
     layout,
+    refuse_other_permissions,
     superseded_certificates,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
@@ -144,6 +145,7 @@ def _changed(
         least = _least(certificate, name, inspector.keystore.domains)
         first = Permissions(grants=(edit(name, least),))
         return PermissionsChange(name, None, first, subject=subject)
+    refuse_other_permissions(inspector.keystore, name)
     with located(folder / layout.PERMISSIONS):
         own = old.grants_for(subject)
         if not own:

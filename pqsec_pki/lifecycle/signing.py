@@ -13,7 +13,7 @@ from pqsec_pki._files import disk_errors, refuse_existing, write
 from pqsec_pki._processes import shared_out
 from pqsec_pki.approvals import Covered
 from pqsec_pki.documents import Governance, Kind, Permissions
-from pqsec_pki.errors import VerificationError
+from pqsec_pki.errors import UsageError, VerificationError
 from pqsec_pki.keystore import (
     Authorities,
     Entry,
@@ -24,8 +24,8 @@ from pqsec_pki.keystore import (
     document_entry,
     faults_of_ledger,
     layout,
+    one_set,
     placed_entry,
-    refuse_further_sets,
     stage_governance,
 )
 from pqsec_pki.lifecycle._inspector import Inspector
@@ -111,24 +111,28 @@ def sign_document(  # noqa: PLR0913 -- each is a choice of the user's, and by na
     now: datetime,
     embed_certificate: bool = False,
     force: bool = False,
+    profile: str | None = None,
 ) -> bytes:
     """Sign the meaning of `document` into the file `goal`, anywhere, and enter it in the ledger.
 
     What is signed has the form of `Governance.to_xml` or `Permissions.to_xml`, without comments. If
     `goal` is a document of the keystore, its line says so, and its XML file is replaced in the same
-    change.
+    change, in all sets of credentials. For a file elsewhere `profile` names the set whose CA signs;
+    UsageError without it if there are several.
     ExistsError if `goal` exists, unless `force`; then nothing is entered. InvalidDocumentError if
     `document` is not valid, UsageError for a time that no stack understands.
     """
     document = _DOCUMENTS[kind].from_xml(document).to_xml()
-    place = layout.document_folder(keystore.folder, kind.value, goal)
-    if place is None:
-        refuse_further_sets(keystore, "a file elsewhere is signed for")
+    found = (layout.document_folder(each.folder, kind.value, goal) for each in keystore.sets)
+    place = next((each for each in found if each is not None), None)
+    if place is not None and profile is not None:
+        raise UsageError(f"{goal} is signed in all sets of credentials: leave out --set")
+    chosen = one_set(keystore, profile) if place is None else None
     with change(keystore.root, authorities) as transaction, keystore.open_ledger() as ledger:
         keystore.refuse_unapproved(Covered.GROW)
         made = []
         for each in each_set(keystore, authorities, transaction, ledger):
-            if not _has(each, place):
+            if each.keystore != chosen if chosen else not _has(each, place):
                 continue
             signed = each.authorities.sign(
                 document,

@@ -136,7 +136,7 @@ def _findings(
         each
         for each in _answers(running, checked)
         if is_about(each.stacks, targets)
-        and not (each.stacks and inventory.is_unseen_by_stock(each.path))
+        and not (each.stacks and inventory.is_of_further_set(each.path))
     )
     return without_repetitions(found, inventory)
 

@@ -13,7 +13,7 @@ from typing import TypeAlias
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.access import Alone
-from pqsec_pki.algorithms import unpem
+from pqsec_pki.algorithms import Profile, unpem
 from pqsec_pki.certificates import Certificate, RevocationList
 from pqsec_pki.credentials import (
     CERTIFICATE,
@@ -26,7 +26,7 @@ from pqsec_pki.credentials import (
     TrustAnchors,
 )
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Keystore, layout
+from pqsec_pki.keystore import Keystore
 from pqsec_pki.lint._anchors import SharedAnchors
 from pqsec_pki.lint._one_sided import one_sided
 from pqsec_pki.lint.document import Document, GovernanceFile, PermissionsFile
@@ -180,6 +180,19 @@ class Inventory:
     missing_parts: Mapping[Path, tuple[str, ...]] = field(default_factory=dict)
     """Keystore of pqsec -> the files that it lacks."""
 
+    def profile_of(self, path: Path) -> Profile | None:
+        """The profile of the set of credentials that has this file; None without a keystore."""
+        if self.keystore is None:
+            return None
+        first, *others = self.keystore.sets
+        own = (each for each in others if path.is_relative_to(each.folder))
+        return next(own, first).profile
+
+    def is_of_further_set(self, path: Path) -> bool:
+        """Whether the file is of a set of credentials that is not the keystore's first one."""
+        others = self.keystore.sets[1:] if self.keystore else ()
+        return any(path.is_relative_to(each.folder) for each in others)
+
     @cached_property
     def signed_documents(self) -> tuple[DocumentAndSigners, ...]:
         """Each document with each CA that it is checked against, without duplicates."""
@@ -188,19 +201,6 @@ class Inventory:
         for each in (*in_enclaves, *self._outside_enclaves()):
             found.setdefault((each.file.path, each.ca.fingerprint), each)
         return tuple(found.values())
-
-    def set_of(self, path: Path) -> Keystore | None:
-        """The set of credentials that a file or folder is of; None without a keystore.
-
-        The first one, if it is in the folder of no other.
-        """
-        further = self.keystore.sets[1:] if self.keystore else ()
-        return next((each for each in further if each.folder in path.parents), self.keystore)
-
-    def is_unseen_by_stock(self, path: Path) -> bool:
-        """Whether the path is of a set that stock stacks do not see: any but the first one."""
-        found = self.set_of(path)
-        return found is not None and found.set_name != layout.FIRST
 
     @cached_property
     def one_sided(self) -> tuple[tuple[PermissionsFile, Alone], ...]:

@@ -10,7 +10,7 @@ from pqsec_pki.access import Change, Difference, permissions_diff
 from pqsec_pki.access.governance_diff import governance_diff
 from pqsec_pki.documents import Governance, Permissions
 from pqsec_pki.errors import UsageError
-from pqsec_pki.keystore import Keystore
+from pqsec_pki.keystore import Keystore, refuse_other_governance, refuse_other_permissions
 from pqsec_pki.policy.loading import Loaded, document_at, kind_of
 from pqsec_pki.policy.participants import own_governance, own_permissions, shared_governance
 
@@ -33,7 +33,8 @@ def differences_between(old: Path, new: Path, now: datetime) -> list[DocumentDif
     """The differences between two documents, or two keystores. Signatures are not checked.
 
     FileError if one cannot be read; UsageError for a file and a folder, or documents of
-    different kinds.
+    different kinds; VerificationError if the sets of credentials of a keystore say different
+    things.
     """
     if is_folder(old) != is_folder(new):
         read(new if is_folder(old) else old)  # it may not exist
@@ -78,11 +79,13 @@ class _KeystorePolicy:
     @classmethod
     def of(cls, root: Path) -> "_KeystorePolicy":
         keystore = Keystore.open(root)
+        refuse_other_governance(keystore)
         return cls(keystore, frozenset(keystore.names()), shared_governance(keystore, None))
 
     def permissions_of(self, name: str, now: datetime) -> Permissions | None:
         if name not in self.names:
             return None
+        refuse_other_permissions(self.keystore, name)
         return own_permissions(self.keystore, name, now, None).value
 
     def governance_of(self, name: str) -> Governance:

@@ -25,7 +25,15 @@ from pqsec_pki.errors import (
     VerificationError,
     located,
 )
-from pqsec_pki.keystore import SETTINGS, CurrentFiles, Keystore, expanded, public_files
+from pqsec_pki.keystore import (
+    SETTINGS,
+    CurrentFiles,
+    Keystore,
+    expanded,
+    public_files,
+    refuse_other_governance,
+    refuse_other_permissions,
+)
 from pqsec_pki.policy.loading import Document, Loaded, document_at, governance_in
 from pqsec_pki.policy.participants import (
     PolicyInput,
@@ -88,8 +96,10 @@ def fleet_in(
 
     `anchors` are those of the keystore, if they were read before. KeystoreError if the governance,
     the list or a CA is not the current one (`CurrentFiles`), unless it is not to be `compared`, or
-    this user may not read the ledger.
+    this user may not read the ledger. VerificationError if the governance of another set of
+    credentials says something else; a participant whose permissions do so is refused.
     """
+    refuse_other_governance(keystore)
     with CurrentFiles.if_readable(keystore) if compared else nullcontext() as current:
         if current:
             current.refuse_others_of_all()
@@ -115,6 +125,7 @@ def _fleet_of(
             certificate = identity_of(keystore, name, anchors, now, files)
             subject = certificate.subject_name
             own = own_permissions(keystore, name, now, check, files, any_markup=True)
+            refuse_other_permissions(keystore, name)
             with located(own.path):
                 _refuse_ungranted(own.value, subject, now, readings)
             if own_governance(keystore, name, governance, check, files) != governance.value:

@@ -22,7 +22,13 @@ from pqsec_pki.credentials import (
 )
 from pqsec_pki.documents import DomainRule, Governance, Kind, Permissions, TopicRule
 from pqsec_pki.errors import VerificationError, located
-from pqsec_pki.keystore import Keystore, public_files, regular_name
+from pqsec_pki.keystore import (
+    Keystore,
+    public_files,
+    refuse_other_governance,
+    refuse_other_permissions,
+    regular_name,
+)
 from pqsec_pki.policy.loading import Check, Loaded, governance_in, permissions_in
 from pqsec_pki.problems import Code
 
@@ -115,9 +121,12 @@ def identity_of(
 def policy_input_of(keystore: Keystore, name: str, now: datetime) -> PolicyInput:
     """A participant and its documents. VerificationError if a signature is not valid.
 
-    Verified twice: against the keystore, and against the files of the enclave alone.
+    Verified twice: against the keystore, and against the files of the enclave alone. Also if
+    another set of credentials says something else.
     """
     keystore.refuse_unknown(name)
+    refuse_other_governance(keystore)
+    refuse_other_permissions(keystore, name)
     anchors = valid_anchors(keystore.anchors, now)
     check = partial(anchors.verified, now=now)
     files = public_files(keystore.folder, regular_name(name))

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections import defaultdict
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import field, replace
 from datetime import datetime
 from functools import partial
@@ -19,11 +19,14 @@ from pqsec_pki.keystore import (
     Entry,
     Keystore,
     Line,
+    ParticipantState,
     RobotState,
+    SharedStatus,
+    State,
     Status,
     audit,
+    layout,
     list_delivery,
-    refuse_further_sets,
     robot_states,
     superseded_certificates,
 )
@@ -31,7 +34,7 @@ from pqsec_pki.keystore import status as status_of
 from pqsec_pki.lint import Finding, Inventory, LintReport, Severity, check, largest_messages
 from pqsec_pki.migration import MigrationPlan
 from pqsec_pki.policy import Fleet, fleet_in
-from pqsec_pki.report.dates import KINDS, endings_of
+from pqsec_pki.report.dates import KINDS, endings_of, of_set
 from pqsec_pki.report.history import events_of
 from pqsec_pki.report.quantum import algorithm_of, exposures_of
 from pqsec_pki.report.rights import rights_of
@@ -74,7 +77,6 @@ def report_of(
     It needs no private key. Nothing is raised for a part that cannot be read or is not valid:
     the report has a gap for it.
     """
-    refuse_further_sets(keystore, "a report shows")
     keystore = keystore.as_found  # its evidence says what is wrong
     made = _ReportMaker(keystore, now)
     status = made.part(EVENTS, lambda: status_of(keystore, now=now))
@@ -87,6 +89,7 @@ def report_of(
     return Report(
         keystore=str(keystore.root),
         profile=keystore.profile.name,
+        further_profiles=tuple(each.name for each in keystore.profiles[1:]),
         at=now,
         version=__version__,
         command=command,
@@ -192,63 +195,96 @@ def _participants(
     status: Status, superseded: Mapping[str, tuple[Entry, ...]]
 ) -> Iterator[ParticipantRow]:
     for each in sorted(status.participants, key=lambda each: each.name):
-        yield ParticipantRow(
-            name=each.name,
-            state=each.state,
-            not_after=each.not_after,
-            profile=each.profile or "",
-            domains=each.domains or "",
-            serial=each.serial,
-            superseded=tuple(old.ends for old in superseded.get(each.name, ())),
-        )
+        row = partial(_participant, earlier=superseded.get(each.name, ()))
+        yield replace(row(each), further=tuple(map(row, each.further)))
 
 
-def _certificates(keystore: Keystore, status: Status | None) -> dict[str, Certificate]:
-    """The CAs' certificates by their kinds, as in `Status.shared`."""
-    with CurrentFiles.of(keystore) as current:
-        anchors = current.anchors
-    found = {"identity-ca": anchors.identity_ca, "permissions-ca": anchors.permissions_ca}
-    if countersigner := anchors.countersigner:
-        found["countersigner"] = countersigner
-    if status and any(each.kind == "trusted-too" for each in status.shared):
-        others = (each for each in anchors.identity_cas)
-        found["trusted-too"] = next(each for each in others if each != found["identity-ca"])
+def _participant(each: ParticipantState, earlier: Iterable[Entry]) -> ParticipantRow:
+    """Its row of one set, with those certificates of `earlier` that are of that."""
+    return ParticipantRow(
+        name=each.name,
+        state=each.state,
+        not_after=each.not_after,
+        profile=each.profile or "",
+        domains=each.domains or "",
+        serial=each.serial,
+        superseded=tuple(old.ends for old in earlier if old.set_name == each.set_name),
+    )
+
+
+_Certificates = dict[tuple[str, str], Certificate]
+"""The CAs' certificates by their sets and kinds, as in `Status.shared`."""
+
+
+def _certificates(keystore: Keystore, status: Status | None) -> _Certificates:
+    """Those of all sets."""
+    found: _Certificates = {}
+    for each in keystore.sets:
+        with CurrentFiles.of(each) as current:
+            anchors = current.anchors
+        own = {"identity-ca": anchors.identity_ca, "permissions-ca": anchors.permissions_ca}
+        if countersigner := anchors.countersigner:
+            own["countersigner"] = countersigner
+        kinds = [
+            term.kind
+            for term in (status.shared if status else ())
+            if term.set_name == each.set_name
+        ]
+        if "trusted-too" in kinds:
+            others = (ca for ca in anchors.identity_cas)
+            own["trusted-too"] = next(ca for ca in others if ca != own["identity-ca"])
+        found |= {(each.set_name, kind): ca for kind, ca in own.items()}
     return found
 
 
 def _authorities(
-    keystore: Keystore, status: Status | None, known: Mapping[str, Certificate] | None
+    keystore: Keystore, status: Status | None, known: _Certificates | None
 ) -> tuple[AuthorityRow, ...] | None:
     if status is None or known is None:
         return None
+    lists = {each.set_name: each.revocation_list_path for each in keystore.sets}
     return tuple(
-        AuthorityRow(
-            kind=KINDS[each.kind],
-            name=each.name or KINDS[each.kind],
-            state=each.state,
-            not_after=each.not_after,
-            algorithm=algorithm_of(known[each.kind]) if each.kind in known else "",
-            fingerprint=known[each.kind].fingerprint
-            if each.kind in known
-            else hashlib.sha256(keystore.revocation_list_path.read_bytes()).hexdigest(),
-        )
+        _authority(each, known.get((each.set_name, each.kind)), lists[each.set_name])
         for each in status.shared
     )
 
 
+def _authority(each: SharedStatus, ca: Certificate | None, path: Path) -> AuthorityRow:
+    """The row of a CA, or without one that of the list in `path`, which may be gone."""
+    if ca:
+        fingerprint = ca.fingerprint
+    else:
+        there = each.state is not State.GONE
+        fingerprint = hashlib.sha256(path.read_bytes()).hexdigest() if there else ""
+    kind = of_set(KINDS[each.kind], each.set_name)
+    return AuthorityRow(
+        kind=kind,
+        name=each.name or kind,
+        state=each.state,
+        not_after=each.not_after,
+        algorithm=algorithm_of(ca) if ca else "",
+        fingerprint=fingerprint,
+        set_name=each.set_name,
+    )
+
+
 def _sizes(inventory: Inventory) -> tuple[HandshakeSize, ...]:
-    """The largest message of each participant, the largest first."""
-    alike: dict[tuple[int, int, int], list[str]] = defaultdict(list)
+    """The largest message of each participant in each set, the largest first."""
+    alike: dict[tuple[int, int, int, str], list[str]] = defaultdict(list)
     for each in largest_messages(inventory):
-        alike[each.message, each.certificate, each.permissions].append(each.enclave.name)
+        size = each.message, each.certificate, each.permissions, each.profile
+        alike[size].append(each.enclave.name)
     return tuple(
         HandshakeSize(
             message=message,
             certificate=certificate,
             permissions=permissions,
+            profile=profile,
             names=tuple(sorted(names)),
         )
-        for (message, certificate, permissions), names in sorted(alike.items(), reverse=True)
+        for (message, certificate, permissions, profile), names in sorted(
+            alike.items(), reverse=True
+        )
     )
 
 
@@ -263,10 +299,14 @@ def _evidence(keystore: Keystore, lines: list[Line]) -> Evidence:
         problems: tuple[str, ...] = ()
     except VerificationError as error:
         problems = error.lines
+    governance = {
+        each.set_name: hashlib.sha256(each.governance).hexdigest() for each in keystore.sets
+    }
     return Evidence(
         head=lines[-1].chain if lines else keystore.head,
         lines=len(lines),
         audit=problems,
-        governance=hashlib.sha256(keystore.governance).hexdigest(),
+        governance=governance[layout.FIRST],
+        further_governance={name: each for name, each in governance.items() if name},
         approvals=str(keystore.approvals or ""),
     )

@@ -2,7 +2,7 @@
 
 import json
 from collections import defaultdict
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -109,7 +109,7 @@ def _earlier(path: str, found: dict[str, Any]) -> EarlierReport:
         participants=None
         if participants is None
         else {
-            _text(each["name"]): _state(_text(each["serial"]), _text(each["state"]))
+            _text(each["name"]): _state(_serials(each), _text(each["state"]))
             for each in participants
         },
         rights=None
@@ -149,8 +149,13 @@ def _text(value: object) -> str:
     return value
 
 
-def _state(serial: str, state: str) -> str:
-    return f"serial {serial}, {state}"
+def _serials(row: dict[str, Any]) -> list[str]:
+    """The serial numbers of a participant in a report: a report of before had no further sets."""
+    return [_text(each["serial"]) for each in (row, *row.get("further", []))]
+
+
+def _state(serials: Sequence[str], state: str) -> str:
+    return f"serial {' and '.join(serials)}, {state}"
 
 
 def changes_since(earlier: EarlierReport, report: Report, keystore: Keystore) -> Changes:
@@ -184,7 +189,10 @@ def _state_of(report: Report) -> ReportState:
     return ReportState(
         participants=None
         if participants is None
-        else {each.name: _state(each.serial, each.state.value) for each in participants},
+        else {
+            each.name: _state([each.serial, *(row.serial for row in each.further)], each.state)
+            for each in participants
+        },
         rights=None if rights is None else frozenset(rights.every),
         topics=frozenset(rights.topics) if rights else frozenset(),
         findings=None if report.findings is None else _findings(report.findings),

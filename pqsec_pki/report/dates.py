@@ -18,6 +18,13 @@ KINDS = {
 """Kinds of `keystore.SharedStatus` in words."""
 CERTIFICATE = "participant's certificate"
 PERMISSIONS = "participant's permissions"
+
+
+def of_set(words: str, set_name: str) -> str:
+    """The words, and the further set of credentials that they are about, if it is one."""
+    return f"{words}, set {set_name}" if set_name else words
+
+
 _OVER = (State.REVOKED, State.GONE, State.ELSEWHERE)
 
 
@@ -37,10 +44,12 @@ def endings_of(status: Status, fleet: Fleet | None) -> tuple[Ending, ...]:
 
 def _every(status: Status, fleet: Fleet | None) -> Iterator[tuple[str, datetime, str]]:
     for term in status.shared:
-        yield KINDS[term.kind], term.not_after, term.name or KINDS[term.kind]
-    for each in status.participants:
-        if each.state not in _OVER:
-            yield CERTIFICATE, each.not_after, each.name
+        if term.state is not State.GONE:
+            kind = of_set(KINDS[term.kind], term.set_name)
+            yield kind, term.not_after, term.name or kind
+    for person in status.participants:
+        for each in (person, *person.further) if person.state not in _OVER else ():
+            yield of_set(CERTIFICATE, each.set_name), each.not_after, each.name
     for member in fleet.members if fleet else ():
         grants = member.permissions.grants_for(member.subject)
         yield PERMISSIONS, max(grant.not_after for grant in grants), member.name

@@ -24,7 +24,7 @@ RENEWED = "renewed"
 def events_of(lines: Iterable[Line], *, after: int = 0) -> tuple[LedgerEvent, ...]:
     """The events after that number of lines, the oldest first.
 
-    A participant's first certificate is issued, others are renewed.
+    A participant's first certificate of a set of credentials is issued, others are renewed.
     """
     told = [each for each in _told(lines) if each[1] > after]
     events = []
@@ -44,15 +44,16 @@ def events_of(lines: Iterable[Line], *, after: int = 0) -> tuple[LedgerEvent, ..
 
 def _told(lines: Iterable[Line]) -> Iterator[tuple[tuple[str, str, str], int, str]]:
     """(when, who, what), the line's number and the name; lines of one moment sorted by kind."""
-    known = set[str]()
+    known = set[tuple[str, str]]()
     for _, batch in groupby(lines, key=lambda line: (line.entry.at, line.entry.operator)):
         found = []
         for line in batch:
             entry = line.entry
             what = _WORDS.get(entry.kind, entry.kind)
             if entry.kind == "participant":
-                what = RENEWED if entry.name in known else ISSUED
-                known.add(entry.name)
+                one = entry.set_name, entry.name
+                what = RENEWED if one in known else ISSUED
+                known.add(one)
             if reason := entry.details.get("reason", ""):
                 what = f"{what} ({reason})"
             found.append(((entry.at, entry.operator or "", what), line.number, entry.name))

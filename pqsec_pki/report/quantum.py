@@ -8,7 +8,7 @@ from pqsec_pki.algorithms import STOCK_AGREEMENT, KeyAgreement, Profile
 from pqsec_pki.certificates import Certificate
 from pqsec_pki.documents import Governance
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import Keystore, State, Status
+from pqsec_pki.keystore import Keystore, State, Status, layout
 from pqsec_pki.lint import LintReport
 from pqsec_pki.policy import Fleet
 from pqsec_pki.report.dates import KINDS
@@ -19,46 +19,69 @@ _NO_KEY = "a key that pqsec does not know"
 
 def exposures_of(
     keystore: Keystore,
-    authorities: Mapping[str, Certificate] | None,
+    authorities: Mapping[tuple[str, str], Certificate] | None,
     checked: LintReport | None,
     status: Status | None,
     fleet: Fleet | None,
 ) -> tuple[Exposure, ...]:
     """The exposures of CAs and participants in use, of key agreements, and of the topics' traffic.
 
-    `authorities` are the CAs' certificates by their kinds. What could not be read is None, and
-    left out.
+    `authorities` are the CAs' certificates by their sets and kinds. What could not be read is
+    None, and left out. Each set of credentials has exposures of its own: with a stock stack, a
+    participant uses the first one, and with the plugin the strongest that its peer has.
     """
-    profiles = {
-        each.name: each.profile or ""
-        for each in (status.participants if status else ())
-        if each.state not in {State.REVOKED, State.GONE, State.ELSEWHERE}
-    }
-    enclaves = checked.inventory.enclaves if checked else ()
-    participants = {
-        each.name: certificate
-        for each in enclaves
-        if each.name in profiles and (certificate := each.certificate())
-    }
-    roles = {KINDS[kind]: each for kind, each in (authorities or {}).items()}
-    return (
-        *_exposed_signatures(roles, participants, profiles),
-        *_exposed_agreements(keystore.profile),
-        *(_exposed_traffic(fleet.governance, keystore.profile) if fleet else ()),
+    return tuple(
+        exposure
+        for view in keystore.sets
+        for exposure in _exposures_of_set(view, authorities or {}, checked, status, fleet)
     )
+
+
+def _exposures_of_set(
+    view: Keystore,
+    authorities: Mapping[tuple[str, str], Certificate],
+    checked: LintReport | None,
+    status: Status | None,
+    fleet: Fleet | None,
+) -> Iterator[Exposure]:
+    everyone = [
+        each
+        for person in (status.participants if status else ())
+        if person.state not in {State.REVOKED, State.GONE, State.ELSEWHERE}
+        for each in (person, *person.further)
+    ]
+    profiles = {
+        each.name: each.profile or "" for each in everyone if each.set_name == view.set_name
+    }
+    enclaves = {each.folder: each for each in (checked.inventory.enclaves if checked else ())}
+    participants = {
+        name: certificate
+        for name in profiles
+        if (enclave := enclaves.get(view.folder / layout.enclave_folder(name)))
+        and (certificate := enclave.certificate())
+    }
+    roles = {
+        KINDS[kind]: each for (name, kind), each in authorities.items() if name == view.set_name
+    }
+    of_cas = view.profile.name if view.sets[1:] else ""
+    yield from _exposed_signatures(roles, participants, profiles, of_cas)
+    yield from _exposed_agreements(view.profile)
+    if fleet:
+        yield from _exposed_traffic(fleet.governance, view.profile)
 
 
 def _exposed_signatures(
     authorities: Mapping[str, Certificate],
     participants: Mapping[str, Certificate],
     profiles: Mapping[str, str],
+    of_cas: str,
 ) -> Iterator[Exposure]:
     """The exposures of the CAs, by their roles, and of participants, by their names, with their
-    profiles."""
+    profiles. `of_cas` is the profile of the CAs, if there are those of others."""
     for role, certificate in authorities.items():
         second = authorities.get("countersigner") if role == "permissions CA" else None
         use = f"signatures of the {role}"
-        yield _signature(use, certificate, "", (certificate.subject_name,), second)
+        yield _signature(use, certificate, of_cas, (certificate.subject_name,), second)
     alike: dict[tuple[str, str], list[str]] = defaultdict(list)
     for name, certificate in participants.items():
         alike[algorithm_of(certificate), profiles.get(name, "")].append(name)

@@ -9,7 +9,7 @@ from pqsec_pki._csv import cell
 from pqsec_pki.credentials import PERMISSIONS
 from pqsec_pki.migration import MigrationPlan
 from pqsec_pki.report.comparing import Changes
-from pqsec_pki.report.values import Report
+from pqsec_pki.report.values import ParticipantRow, Report
 
 HEADER = ("section", "subject", "item", "value", "domains", "until", "source")
 
@@ -38,13 +38,8 @@ def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
         yield "gap", gap.section, "not read", gap.reason, "", "", ""
     yield from _changed(changes)
     for person in report.participants or ():
-        until = _said(person.not_after)
-        yield (
-            *("participant", person.name, person.profile, person.state.value),
-            *(person.domains, until, person.serial),
-        )
-        for end in person.superseded:
-            yield "participant", person.name, person.profile, "superseded", "", _said(end), ""
+        for each in (person, *person.further):
+            yield from _participant(each)
     yield from _rights(report)
     yield from _keys(report)
     yield from _migration(report.migration)
@@ -65,7 +60,19 @@ def _rows(report: Report, changes: Changes | None) -> Iterator[_Row]:
             )
     for size in report.sizes or ():
         for name in size.names:
-            yield "handshake", name, "bytes of the largest message", str(size.message), "", "", ""
+            what, count = "bytes of the largest message", str(size.message)
+            yield "handshake", name, what, count, "", "", size.profile
+
+
+def _participant(each: ParticipantRow) -> Iterator[_Row]:
+    """Its certificate of one set of credentials, and those before it."""
+    until = _said(each.not_after)
+    yield (
+        *("participant", each.name, each.profile, each.state.value),
+        *(each.domains, until, each.serial),
+    )
+    for end in each.superseded:
+        yield "participant", each.name, each.profile, "superseded", "", _said(end), ""
 
 
 def _rights(report: Report) -> Iterator[_Row]:

@@ -203,6 +203,8 @@ class HandshakeSize:
     """Bytes, as `certificate` and `permissions`."""
     certificate: int
     permissions: int
+    profile: str
+    """That of the set of credentials."""
     names: tuple[str, ...]
 
 
@@ -218,6 +220,8 @@ class ParticipantRow:
     serial: str
     superseded: tuple[datetime, ...]
     """The ends of certificates before this one that are still valid."""
+    further: "tuple[ParticipantRow, ...]" = ()
+    """Its certificates in the further sets of credentials; `state` is that of all sets."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -231,7 +235,9 @@ class AuthorityRow:
     algorithm: str
     """Empty for the list."""
     fingerprint: str
-    """SHA-256 of the certificate's DER or of the list's file, in hex."""
+    """SHA-256 of the certificate's DER or of the list's file, in hex; empty if that is gone."""
+    set_name: str = ""
+    """The further set of credentials that it is of; empty for the first one."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,7 +250,9 @@ class Evidence:
     audit: tuple[str, ...]
     """What is wrong with the ledger; empty if it is complete."""
     governance: str
-    """SHA-256 of the signed governance, in hex."""
+    """SHA-256 of the signed governance of the first set of credentials, in hex."""
+    further_governance: dict[str, str]
+    """That of each further set, by its name."""
     approvals: str
     """How many of which people must approve which changes; empty if changes need no approvals."""
 
@@ -255,6 +263,9 @@ class Report:
 
     keystore: str
     profile: str
+    """That of the first set of credentials."""
+    further_profiles: tuple[str, ...]
+    """Those of the further sets."""
     at: datetime
     version: str
     command: str
@@ -274,6 +285,11 @@ class Report:
     evidence: Evidence | None
     gaps: tuple[Gap, ...]
 
+    @property
+    def profiles(self) -> tuple[str, ...]:
+        """Those of all sets of credentials, that of the first one first."""
+        return (self.profile, *self.further_profiles)
+
     def to_json(self) -> dict[str, object]:
         """The report for programs, and for --compare of a later one."""
         return {
@@ -281,6 +297,7 @@ class Report:
             "format_version": FORMAT,
             "keystore": self.keystore,
             "profile": self.profile,
+            "further_profiles": self.further_profiles,
             "at": self.at,
             "pqsec": self.version,
             "command": self.command,

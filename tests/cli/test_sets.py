@@ -56,27 +56,6 @@ def test_status_shows_a_participant_that_lacks_a_set(pqsec, k):
     assert "(set hybrid)" in done.out
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "ca rotate --profile pq",
-        "ca crl --show -o x",
-        "ledger move postgresql://u@h/d",
-        "report -o x",
-        "migrate plan --to pq",
-        "domain import k",
-        "sign-governance k/enclaves/governance.xml -o x.p7s",
-    ],
-)
-def test_what_handles_one_set_refuses_several(pqsec, k, tmp_path, line):
-    del k
-    before = sorted(tmp_path.rglob("*"))
-    done = pqsec(f"-k k {line}")
-    assert done.code == 3
-    assert "further sets of credentials (hybrid)" in done.err
-    assert sorted(tmp_path.rglob("*")) == before
-
-
 def test_a_set_is_added_to_a_keystore_that_runs(pqsec, tmp_path):
     pqsec("-k k ca init --name Lab --profile classical --no-passphrase").done()
     pqsec("-k k issue /talker --publish chatter").done()
@@ -353,3 +332,119 @@ def test_new_keys_of_one_set_get_the_passphrase_of_all(pqsec, tmp_path):
     for path in (tmp_path / "k").rglob("*_ca.key.pem"):
         assert "ENCRYPTED" in path.read_text()
     pqsec("-k k issue /a --publish x --passphrase-file p").done()
+
+
+# What shows or copies what the sets have
+
+
+def test_each_list_of_the_sets_is_issued_shown_and_copied(pqsec, k, tmp_path):
+    out = pqsec("-k k ca crl").done().out
+    assert "k/public/identity_ca.crl.pem" in out
+    assert "k/sets/hybrid/public/identity_ca.crl.pem" in out
+    for profile, folder in (("classical", k), ("hybrid", k / "sets/hybrid")):
+        found = pqsec(f"-k k ca crl --show --set {profile} -o {profile}.pem --json").done().json
+        assert [found["number"], *(each["number"] for each in found["further"])] == [1, 1]
+        copy = (tmp_path / f"{profile}.pem").read_bytes()
+        assert copy == (folder / "public/identity_ca.crl.pem").read_bytes()
+    for command in found["delivery"]["commands"]:
+        pqsec(command.removeprefix("pqsec ")).done()
+    pqsec("-k k ca crl -o x.pem").refused(2, "name one with --set: classical, hybrid")
+    pqsec("-k k ca crl --show --set hybrid").refused(2, "--set chooses the list that --out writes")
+    pqsec("-k k ca crl --show --set pq -o x.pem").refused(3, "it has classical, hybrid")
+    assert not (tmp_path / "x.pem").exists()
+
+
+@pytest.mark.parametrize("folder", ["", "sets/hybrid/"])
+def test_a_list_that_one_set_lacks_is_not_shown_as_if_there_was_none(pqsec, k, folder):
+    pqsec("-k k ca crl").done()
+    (k / f"{folder}public/identity_ca.crl.pem").unlink()
+    told = pqsec("-k k ca crl --show").refused(3, f"{folder}public/identity_ca.crl.pem is missing")
+    assert "`pqsec ca crl`" in told.err
+    pqsec("-k k ca crl").done()
+    pqsec("-k k ca crl --show").done()
+
+
+def test_the_pins_are_those_of_the_cas_of_all_sets(pqsec, k):
+    pins = pqsec("-k k ca show --pins --json").done().json["pins"]
+    shown = pqsec("-k k ca show --json").done().json
+    cas = [ca for each in (shown, *shown["further"]) for ca in each["cas"]]
+    assert [each.partition(":")[2] for each in pins] == [each["sha256"] for each in cas]
+
+
+def test_metrics_have_what_ends_in_each_set(pqsec, k, tmp_path):
+    del k
+    pqsec("-k k ca crl").done()
+    pqsec("-k k status --prometheus m").done()
+    lines = [each for each in (tmp_path / "m").read_text().splitlines() if each[0] != "#"]
+    series = [each.rpartition(" ")[0] for each in lines]
+    assert len(set(series)) == len(series)
+    ends = [each for each in series if each.startswith("pqsec_not_after_seconds")]
+    further = [each for each in ends if 'set="hybrid"' in each]
+    assert len(further) == len(ends) - len(further) == 5
+    for kind in ("identity-ca", "permissions-ca", "crl", "participant"):
+        assert any(f'kind="{kind}"' in each for each in further)
+
+
+def test_a_report_is_of_all_sets_and_complete(pqsec, k):
+    del k
+    found = pqsec("-k k report --json").done().json
+    assert found["complete"]
+    assert [found["profile"], *found["further_profiles"]] == TWO.split(",")
+
+
+def test_a_file_elsewhere_is_signed_for_the_set_that_is_named(pqsec, k, tmp_path):
+    line = "-k k sign-governance k/enclaves/governance.xml -o x.p7s"
+    pqsec(line).refused(2, "name one with --set: classical, hybrid")
+    pqsec(f"{line} --set hybrid").done()
+    ca = k / "sets/hybrid/public/permissions_ca.cert.pem"
+    pqsec(f"verify x.p7s --ca {ca}").done()
+    assert (tmp_path / "x.p7s").exists()
+
+
+def test_questions_about_rights_are_refused_where_the_sets_differ(pqsec, k):
+    pqsec("-k k explain /talker --publish chatter --domain 0").done()
+    folder = k / "sets/hybrid/enclaves"
+    (folder / "talker/permissions.p7s").write_bytes(
+        (folder / "listener/permissions.p7s").read_bytes()
+    )
+    for line in ("explain /talker --publish chatter --domain 0", "permit /talker --publish x"):
+        pqsec(f"-k k {line}").refused(1, "give different rights")
+    assert "give different rights" in pqsec("-k k who-may").err
+
+
+def test_status_and_metrics_say_that_the_settings_hide_a_set(pqsec, k, tmp_path):
+    settings = json.loads((k / "pqsec.json").read_bytes())
+    settings["algorithms"] = settings["algorithms"][:1]
+    (k / "pqsec.json").write_text(json.dumps(settings))
+    done = pqsec("-k k status --prometheus m")
+    assert "NOT AS SIGNED" in done.out
+    assert "lacks the set of credentials hybrid" in done.out
+    assert "pqsec_ledger_whole" in (tmp_path / "m").read_text()
+    [line] = [
+        e for e in (tmp_path / "m").read_text().splitlines() if e.startswith("pqsec_ledger_w")
+    ]
+    assert line.endswith(" 0")
+
+
+@pytest.mark.parametrize("profile", TWO.split(","))
+def test_a_report_is_signed_and_verified_for_the_set_that_is_named(pqsec, k, tmp_path, profile):
+    del k
+    pqsec("-k k report --sign -o r.html").refused(2, "name one with --set: classical, hybrid")
+    pqsec(f"-k k report --set {profile} -o r.html").refused(2, "--set chooses the CA that signs")
+    assert not (tmp_path / "r.html").exists()
+    pqsec(f"-k k report --sign --set {profile} -o r.html").done()
+    pqsec("-k k verify r.html.p7s").refused(2, "name one with --set: classical, hybrid")
+    for each in TWO.split(","):
+        done = pqsec(f"-k k verify r.html.p7s --set {each}")
+        assert done.code == (0 if each == profile else 1)
+
+
+def test_a_document_is_verified_by_the_ca_of_the_set_that_has_it(pqsec, k):
+    del k
+    for folder in ("", "sets/hybrid/"):
+        pqsec(f"-k k verify k/{folder}enclaves/governance.p7s").done()
+    pqsec("-k k verify k/enclaves/governance.p7s --set hybrid").refused(1)
+    line = (
+        "-k k verify k/enclaves/governance.p7s --set hybrid --ca k/public/permissions_ca.cert.pem"
+    )
+    pqsec(line).refused(2, "--ca and --set exclude each other")

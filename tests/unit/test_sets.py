@@ -364,24 +364,6 @@ def test_a_document_that_is_signed_in_its_place_is_signed_in_all_sets(keystore, 
     one_meaning(keystore, *TWO, now=LATER)
 
 
-def test_a_document_elsewhere_or_of_one_further_set_is_not_signed(keystore, tmp_path):
-    issued(keystore)
-    document = (keystore.root / "enclaves/governance.xml").read_bytes()
-    before = keystore.head
-    for goal in (tmp_path / "x.p7s", keystore.sets[1].folder / "enclaves/governance.p7s"):
-        with pytest.raises(KeystoreError, match="further sets of credentials"):
-            sign_document(
-                keystore,
-                Kind.GOVERNANCE,
-                document,
-                goal,
-                keystore.unlock(None),
-                now=NOW,
-                force=True,
-            )
-    assert keystore.head == before
-
-
 def test_a_revoked_participant_is_in_the_lists_of_all_sets_with_one_number(keystore):
     issued(keystore)
     revoked, made = revoke(

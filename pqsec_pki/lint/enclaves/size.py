@@ -6,7 +6,6 @@ It is built here as it is sent, with zeros in place of secrets and signatures.
 
 from collections.abc import Iterable, Iterator
 from functools import lru_cache
-from pathlib import Path
 
 from pqsec_pki._dataclass import dataclass
 from pqsec_pki.algorithms import (
@@ -52,6 +51,8 @@ class LargestMessage:
     message: int
     certificate: int
     permissions: int
+    profile: str
+    """The profile of the peers; empty for stock stacks."""
 
     @property
     def found(self) -> str:
@@ -87,7 +88,7 @@ class LargestMessage:
     """,
 )  # fmt: skip
 def over_fast_dds_limit(inventory: Inventory) -> Iterator[Violation]:
-    for size in _sizes(inventory.enclaves, None):
+    for size in filter(None, (_largest_message(each, None) for each in inventory.enclaves)):
         if size.message > FAST_DDS_LIMIT.size:
             words = (
                 f"{size.found}: over {FAST_DDS_LIMIT.size}, too large for some versions of Fast DDS"
@@ -160,17 +161,22 @@ def over_own_limit(inventory: Inventory) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def over_reassembly_memory(inventory: Inventory) -> Iterator[Violation]:
-    of_each = dict[str | Path, int]()  # one with several sets sends messages of one to a peer
-    for each in largest_messages(inventory):
-        who = each.enclave.name if inventory.keystore else each.enclave.folder
-        of_each[who] = max(of_each.get(who, 0), frames_of(each.message) * FRAME_MEMORY)
-    held = of_each.values()
+    held = [frames_of(each) * FRAME_MEMORY for each in _of_participants(inventory)]
     needed = sum(held) - min(held, default=0)
     if needed > IPFRAG_HIGH_THRESH:
         yield Violation(
             f"the messages of {len(held)} participants may take {needed} bytes of a host's memory"
             f" for fragments, which has {IPFRAG_HIGH_THRESH}"
         )
+
+
+def _of_participants(inventory: Inventory) -> Iterable[int]:
+    """The size for each participant: of its sets of credentials, it uses one with a peer."""
+    largest: dict[object, int] = {}
+    for each in largest_messages(inventory):
+        one = each.enclave.name if inventory.keystore else each.enclave.folder
+        largest[one] = max(each.message, largest.get(one, 0))
+    return largest.values()
 
 
 def reply_size(
@@ -198,28 +204,28 @@ def _reply_size(
 def largest_messages(
     inventory: Inventory, profile: Profile | None = None
 ) -> Iterator[LargestMessage]:
-    """For each participant, and each of its sets in a keystore, between pqsec peers of `profile`,
-    else of the set's; without both, for stock stacks."""
+    """For each participant, between pqsec peers of `profile`, else of that of its set of
+    credentials; without both, for stock stacks."""
     for enclave in inventory.enclaves:
-        keystore = inventory.set_of(enclave.folder)
-        row = profile or (keystore.profile if keystore else None)
-        yield from _sizes([enclave], row)
+        own = profile or inventory.profile_of(enclave.folder)
+        if found := _largest_message(enclave, own):
+            yield found
 
 
-def _sizes(enclaves: Iterable[EnclaveFolder], profile: Profile | None) -> Iterator[LargestMessage]:
-    """The size for each of them: between pqsec peers of `profile`, or for stock stacks."""
-    for enclave in enclaves:
-        certificate, file = enclave.certificate(), enclave.files.get(PERMISSIONS)
-        key = _key(certificate, profile) if certificate else None
-        if certificate is None or file is None or key is None:
-            continue
-        agreement = profile.key_agreement if profile else MODP_RAW
-        yield LargestMessage(
-            enclave,
-            message=reply_size(certificate, file.data, key.algorithm, agreement),
-            certificate=len(certificate.pem),
-            permissions=len(file.data),
-        )
+def _largest_message(enclave: EnclaveFolder, profile: Profile | None) -> LargestMessage | None:
+    """Between pqsec peers of `profile`, or for stock stacks; None if it cannot have one."""
+    certificate, file = enclave.certificate(), enclave.files.get(PERMISSIONS)
+    key = _key(certificate, profile) if certificate else None
+    if certificate is None or file is None or key is None:
+        return None
+    agreement = profile.key_agreement if profile else MODP_RAW
+    return LargestMessage(
+        enclave,
+        message=reply_size(certificate, file.data, key.algorithm, agreement),
+        certificate=len(certificate.pem),
+        permissions=len(file.data),
+        profile=profile.name if profile else "",
+    )
 
 
 def _key(certificate: Certificate, profile: Profile | None) -> PublicKey | None:

@@ -1,12 +1,17 @@
 """Rules about what a revocation did not end yet: robots without the list, earlier certificates."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from pathlib import Path
 
 from pqsec_pki._times import said
 from pqsec_pki.errors import PqsecError
-from pqsec_pki.keystore import ListDelivery, layout, list_delivery, superseded_certificates
+from pqsec_pki.keystore import (
+    Entry,
+    ListDelivery,
+    layout,
+    list_delivery,
+    superseded_certificates,
+)
 from pqsec_pki.lint.rule import Severity, Violation, lint_rule
 from pqsec_pki.lint.subjects import Inventory
 
@@ -30,9 +35,10 @@ _BY_RECEIPT = (
     """,
 )  # fmt: skip
 def revoked_and_accepted(inventory: Inventory) -> Iterator[Violation]:
-    found = _delivery(inventory)
-    if found and found.accepted:
-        yield Violation(f"{found}: {found.names}; {found.danger}", path=_list(inventory))
+    keystore, found = inventory.keystore, _delivery(inventory)
+    if keystore and found and found.accepted:
+        words = f"{found}: {found.names}; {found.danger}"
+        yield Violation(words, path=keystore.revocation_list_path)
 
 
 @lint_rule(
@@ -48,9 +54,9 @@ def revoked_and_accepted(inventory: Inventory) -> Iterator[Violation]:
     """,
 )  # fmt: skip
 def list_not_delivered(inventory: Inventory) -> Iterator[Violation]:
-    found = _delivery(inventory)
-    if found and found.late and not found.accepted:
-        yield Violation(f"{found}: {found.names}", path=_list(inventory))
+    keystore, found = inventory.keystore, _delivery(inventory)
+    if keystore and found and found.late and not found.accepted:
+        yield Violation(f"{found}: {found.names}", path=keystore.revocation_list_path)
 
 
 @lint_rule(
@@ -68,19 +74,20 @@ def superseded_and_valid(inventory: Inventory) -> Iterator[Violation]:
         return
     with suppress(PqsecError):  # private/ is not for everybody to read
         for name, entries in superseded_certificates(keystore, now=inventory.now).items():
-            last = max(each.ends for each in entries)
-            count = f"{len(entries)} certificate{'s' if len(entries) > 1 else ''}"
-            words = f"{count} before the current one of {name} can be used until {said(last)}"
-            yield Violation(words, path=keystore.folder / layout.enclave_folder(name))
+            for each in keystore.sets:
+                if own := [entry for entry in entries if entry.set_name == each.set_name]:
+                    place = each.folder / layout.enclave_folder(name)
+                    yield Violation(_superseded(name, own), path=place)
+
+
+def _superseded(name: str, entries: Sequence[Entry]) -> str:
+    last = max(each.ends for each in entries)
+    count = f"{len(entries)} certificate{'s' if len(entries) > 1 else ''}"
+    return f"{count} before the current one of {name} can be used until {said(last)}"
 
 
 def _delivery(inventory: Inventory) -> ListDelivery | None:
-    """How far the newest list got; None without a list, or if the ledger cannot be read."""
-    keystore = inventory.keystore
+    """How far the newest lists got; None without a list, or a readable ledger."""
     with suppress(PqsecError):
-        return list_delivery(keystore, now=inventory.now) if keystore else None
+        return list_delivery(inventory.keystore, now=inventory.now) if inventory.keystore else None
     return None
-
-
-def _list(inventory: Inventory) -> Path | None:
-    return inventory.keystore.revocation_list_path if inventory.keystore else None

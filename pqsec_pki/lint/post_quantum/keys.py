@@ -76,29 +76,24 @@ def post_quantum_documents(file: CertificateFile) -> Iterator[Violation]:
 )  # fmt: skip
 def below_profile(inventory: Inventory) -> Iterator[Violation]:
     for file in inventory.certificates:
-        keystore = inventory.set_of(file.path)
-        if keystore is None:
-            return
-        role, profile = file.role, keystore.profile
-        rows = _wanted(profile).get(role, (None, None))
-        for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
-            if row and (level := _level(found)) < row.level:
-                words = f"the {role}'s {what} is of security level {level}, not {row.level}"
-                yield Violation(
-                    f"{words} as in profile {profile.name} ({row.name})", path=file.path
-                )
+        if profile := inventory.profile_of(file.path):
+            yield from _below(profile, file)
 
 
-def _wanted(
-    profile: Profile,
-) -> dict[CertificateRole, tuple[SignatureAlgorithm | None, SignatureAlgorithm | None]]:
-    """Role -> the algorithms of its key and its alternative key."""
-    return {
+def _below(profile: Profile, file: CertificateFile) -> Iterator[Violation]:
+    """The keys of the file that are weaker than those of the profile of its set."""
+    wanted = {
         CertificateRole.PARTICIPANT: (profile.participant_key, profile.alternative_key),
         CertificateRole.IDENTITY_CA: (profile.identity_key, profile.alternative_key),
         CertificateRole.PERMISSIONS_CA: (profile.permissions_key, None),
         CertificateRole.COUNTERSIGNER: (profile.alternative_key, None),
     }
+    role = file.role
+    rows = wanted.get(role, (None, None))
+    for what, found, row in zip(("key", "alternative key"), _keys(file), rows, strict=True):
+        if row and (level := _level(found)) < row.level:
+            words = f"the {role}'s {what} is of security level {level}, not {row.level}"
+            yield Violation(f"{words} as in profile {profile.name} ({row.name})", path=file.path)
 
 
 @lint_rule(
