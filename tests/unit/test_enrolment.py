@@ -103,7 +103,8 @@ def test_a_request_leaves_keys_for_their_owner_only_and_proves_that_they_are_the
     assert modes == keys | {"request.csr": 0o644}
     assert {stat.S_IMODE(each.stat().st_mode) for each in (folder, tmp_path / "robot")} == {0o700}
     assert (
-        validate_csrs([found.request], [profile], names=[ROBOT])[ROBOT].key.spki == found.request.spki
+        validate_csrs([found.request], [profile], names=[ROBOT])[ROBOT].key.spki
+        == found.request.spki
     )
 
 
