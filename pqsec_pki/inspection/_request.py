@@ -14,6 +14,10 @@ def describe_request(der: bytes) -> Description:
         Fact.of("subject", request.subject_name),
         _algorithms.key_fact("key", request.spki),
         _algorithms.alternative_key_fact(request.alternative_spki),
+        *(
+            _algorithms.key_fact(f"key of set {number}", each.spki)
+            for number, each in enumerate(request.further, 2)
+        ),
         Fact.of("signature", signature),
         _proof(request),
         _extensions.extensions_fact("requests", request.extensions),
@@ -29,5 +33,6 @@ def _proof(request: CertificateRequest) -> Fact:
     except VerificationError as error:
         return Fact.of("proof", {"holds": False, "problems": error.lines}, *error.lines)
     both = " and the alternative key" if request.alternative else ""
-    words = f"verified: the requester has the private key{both}"
+    all_keys = " of each set" if request.further else both
+    words = f"verified: the requester has the private key{all_keys}"
     return Fact.of("proof", {"holds": True, "problems": ()}, words)

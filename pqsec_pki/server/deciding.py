@@ -85,10 +85,16 @@ def replacing(
     """The SHA-256 of those that ask for another key than their participant has."""
     names = {each.name for each in found}
     with keystore.open_ledger() as ledger:
-        states = participant_states(keystore, ledger, names, now=now)
-        keys = {each.name: each.keys for each in states}
+        certified = [
+            (state.name, state.keys)
+            for each in keystore.sets
+            for state in participant_states(each, ledger.of(each.set_name), names, now=now)
+        ]
     return frozenset(
-        each.sha256 for each in found if each.name in keys and each.keys != keys[each.name]
+        each.sha256
+        for each in found
+        for name, keys in certified
+        if name == each.name and not {*keys.split()} <= {*each.keys.split()}
     )
 
 

@@ -17,14 +17,18 @@ def keep_list(
     Robots get it with their documents, and their stacks refuse everybody when it has ended. Errors
     as of `renew_list`.
     """
-    found = keystore.revocation_list
-    end = found.next_update if found else None
     with keystore.open_ledger() as ledger:
         recovers = was_ahead(ledger, authorities, now)
-    is_valid = found and end and State.at(now, found.this_update, end, None) is State.VALID
-    if is_valid and not recovers:
+    if not recovers and all(_has_valid_list(each, now) for each in keystore.sets):
         return False
     # Robots order lists by their numbers: a list does no harm if it is this clock that is wrong.
     authorities = replace(authorities, compares_clock=authorities.compares_clock and not recovers)
     renew_list(keystore, authorities, now=now, validity=validity)
     return True
+
+
+def _has_valid_list(keystore: Keystore, now: datetime) -> bool:
+    found = keystore.revocation_list
+    if found is None or found.next_update is None:
+        return False
+    return State.at(now, found.this_update, found.next_update, None) is State.VALID

@@ -107,7 +107,8 @@ class WaitingRequests:
         if self.store.ask_again(request.fingerprint, now):
             return
         self._make_room(name, address, now)
-        keys = key_hashes(request.public_key, request.alternative_key)
+        sets = (key_hashes(each.public_key, each.alternative_key) for each in request.sets)
+        keys = " ".join(sets)
         waits = WaitingRequest(name, request.fingerprint, address, now, now, keys)
         self.store.put(waits, request.der)
 

@@ -125,7 +125,7 @@ def test_a_wish_may_say_anything(key, value):
     files["manifest.json"] = json.dumps(manifest).encode()
     found = ours(lambda: SignRequest.from_bytes(tarball.pack(files)))
     if found:
-        ours(lambda: found.admitted(PROFILE))
+        ours(lambda: found.admitted([PROFILE]))
 
 
 @hostile
@@ -135,7 +135,7 @@ def test_a_request_that_was_altered_is_never_admitted(changes):
     altered = mutated(der, changes)
     request = ours(lambda: CertificateRequest.from_der(altered))
     if request and altered != der:
-        assert ours(lambda: validate_csrs([request], PROFILE, names=["/a"])) is None
+        assert ours(lambda: validate_csrs([request], [PROFILE], names=["/a"])) is None
 
 
 @hostile
