@@ -13,6 +13,7 @@ from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.add_set import add_set
 from pqsec_pki.cli.passphrase import passphrase
+from pqsec_pki.cli.remove_set import remove_set
 from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
@@ -39,6 +40,7 @@ def ca() -> None:
 
 ca.add_command(add_set)
 ca.add_command(passphrase)
+ca.add_command(remove_set)
 ca.add_command(rotate)
 
 profile_option = click.option(

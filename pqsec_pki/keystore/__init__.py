@@ -72,7 +72,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.keystore import layout
     from pqsec_pki.keystore._address import LedgerAddress
-    from pqsec_pki.keystore._chain import Entry, Line
+    from pqsec_pki.keystore._chain import SET_END, Entry, Line
     from pqsec_pki.keystore._entries import (
         certificate_entry,
         document_entry,
@@ -205,6 +205,7 @@ __all__ = [
     "PUBLIC_FILES",
     "RECEIPT",
     "SETTINGS",
+    "SET_END",
     "WAIT",
     "AcceptedCertificate",
     "Anchored",

@@ -12,7 +12,8 @@ Participants and documents:
     revoking      revokes certificates and issues revocation lists
 CAs:
     adding        adds a set of credentials of another profile; `_sets` has what other changes do in
-                  each set
+                  each set, `_alike` issues what one set says already
+    removing      removes a set of credentials
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
@@ -44,6 +45,7 @@ if TYPE_CHECKING:
         sign_changed,
     )
     from pqsec_pki.lifecycle.registering import add_registration, end_registrations
+    from pqsec_pki.lifecycle.removing import RemovedSet, removable_set, remove_set
     from pqsec_pki.lifecycle.renewing import Renewal, lasts_longer, renew
     from pqsec_pki.lifecycle.revoking import (
         LIST_VALIDITY,
@@ -86,6 +88,7 @@ __all__ = [
     "ParticipantSpec",
     "PermissionsChange",
     "PublicKeys",
+    "RemovedSet",
     "Renewal",
     "Revoked",
     "Rollover",
@@ -110,6 +113,8 @@ __all__ = [
     "move_ledger",
     "plan_rollover",
     "refuse_keys_in_files",
+    "removable_set",
+    "remove_set",
     "renew",
     "renew_list",
     "revocable",

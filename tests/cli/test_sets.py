@@ -194,3 +194,26 @@ def test_new_keys_of_one_set_get_the_passphrase_of_all(pqsec, tmp_path):
     for path in (tmp_path / "k").rglob("*_ca.key.pem"):
         assert "ENCRYPTED" in path.read_text()
     pqsec("-k k issue /a --publish x --passphrase-file p").done()
+
+
+# Removing a set
+
+
+def test_a_set_is_removed_after_a_question(pqsec, k):
+    pqsec("-k k ca remove-set hybrid").refused(2, "would be removed, and no terminal to ask")
+    assert (k / "sets/hybrid").is_dir()
+    done = pqsec("-k k ca remove-set hybrid --yes").done()
+    assert "valid certificates of 2 participants" in done.out
+    assert not (k / "sets/hybrid").exists()
+    assert "hybrid" not in pqsec("-k k ca show").done().out
+    pqsec("-k k log --verify").done()
+    assert pqsec("-k k status").done().out.count("2 valid") == 1
+    assert pqsec("check k").code in {0, 1}
+    pqsec("-k k renew --all").done()
+
+
+def test_the_first_set_and_unknown_ones_are_not_removed(pqsec, k):
+    del k
+    line = "-k k ca remove-set"
+    pqsec(f"{line} classical --yes").refused(3, "is the first set of credentials")
+    pqsec(f"{line} pq --yes").refused(3, "it has classical, hybrid")
