@@ -24,7 +24,7 @@ from pqsec_pki.keystore import (
     LedgerAddress,
     Overview,
     SigningCa,
-    key_algorithms,
+    ca_key_places,
     list_delivery,
     overview_of,
     refuse_further_sets,
@@ -130,7 +130,7 @@ class _Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer clic
     help="Choose another key agreement.",
     shell_complete=_completion.key_agreements,
 )
-@_key_uris.options
+@_key_uris.options_of_sets
 @click.option("--name", default="", help="Start the names of the CAs with this.")
 @click.option(
     "--validity",
@@ -186,9 +186,9 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     domain_set = DomainSet.parse(domains)
     path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
-    files = [*key_algorithms(profiles[0])]
-    with _key_uris.keys(profiles[0], _key_uris.given(), files) as keys:
-        in_files = len(keys) < len(files)
+    places = ca_key_places(profiles)
+    with _key_uris.keys(places, _key_uris.given_for_sets(profiles)) as keys:
+        in_files = len(keys) < len(places)
         keystore = Keystore.create(
             path,
             *profiles,

@@ -160,6 +160,7 @@ if TYPE_CHECKING:
     from pqsec_pki.keystore.robots import InstallState, RobotState, robot_states
     from pqsec_pki.keystore.set_faults import faults_of_sets
     from pqsec_pki.keystore.sets import (
+        ca_key_places,
         further,
         refuse_further_sets,
         stage_cas,
@@ -245,6 +246,7 @@ __all__ = [
     "audit",
     "bundle_number",
     "ca_key_files",
+    "ca_key_places",
     "certificate_entry",
     "change",
     "check_pair",

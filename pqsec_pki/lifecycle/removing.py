@@ -129,3 +129,4 @@ def _stage_removal(view: Keystore, part: SetChange) -> None:
     for each in sorted(folders, key=len, reverse=True):
         part.remove_empty(each)
     part.remove_empty("")
+    part.transaction.remove_empty(layout.SETS)
