@@ -220,3 +220,23 @@ def test_the_first_set_and_unknown_ones_are_not_removed(pqsec, k):
     line = "-k k ca remove-set"
     pqsec(f"{line} classical --yes").refused(3, "is the first set of credentials")
     pqsec(f"{line} pq --yes").refused(3, "it has classical, hybrid")
+
+
+@pytest.mark.parametrize(
+    "line", ["ca rotate --set hybrid --apply --yes", "ca remove-set hybrid --yes"]
+)
+def test_a_set_is_rotated_or_removed_without_its_own_keys(pqsec, k, line):
+    for key in (k / "sets/hybrid/private").glob("*.key.pem"):
+        key.write_text("damaged")
+    pqsec("-k k issue /new --publish x").refused(3, "key")
+    pqsec(f"-k k {line}").done()
+    pqsec("-k k issue /new --publish x").done()
+    pqsec("-k k log --verify").done()
+
+
+@pytest.mark.parametrize("scope", ["", "--only identity", "--only permissions"])
+def test_a_check_finds_nothing_new_after_a_rotation_of_a_set(pqsec, k, scope):
+    before = {(each["rule"], each["path"]) for each in pqsec("check k --json").json["findings"]}
+    pqsec(rotation(f"--set hybrid {scope}")).done()
+    after = {(each["rule"], each["path"]) for each in pqsec("check k --json").json["findings"]}
+    assert after == before
