@@ -132,6 +132,8 @@ def _sha256(data: bytes) -> str:
 
 KINDS: Mapping[str, Covered] = {
     "revoke": Covered.REVOKE,
+    "ca add-set": Covered.ROTATE,
+    "ca remove-set": Covered.ROTATE,
     "ca rotate": Covered.ROTATE,
     "ca crl": Covered.OTHER,
     "issue": Covered.GROW,
