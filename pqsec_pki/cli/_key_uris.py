@@ -1,8 +1,8 @@
 """Options for keys that are in tokens or held by another signer."""
 
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -10,7 +10,7 @@ from pqsec_pki.cli import _passphrases, _printing, _settings
 from pqsec_pki.errors import UsageError
 
 if TYPE_CHECKING:
-    from pqsec_pki.algorithms import PrivateKey, Profile
+    from pqsec_pki.algorithms import PrivateKey, Profile, SignatureAlgorithm
 
 IN_FILE = "file"
 """In place of a URI: the key is in a file."""
@@ -39,19 +39,28 @@ def options(command: _settings.Command) -> _settings.Command:
     return _added(command, _CA)
 
 
+def options_of_sets(command: _settings.Command) -> _settings.Command:
+    """Like `options`, for the keys of several sets; `given_for_sets` has what they say."""
+    return _added(command, _CA, several=True)
+
+
 def participant_options(command: _settings.Command) -> _settings.Command:
     """Add an option for the URI of each of a participant's keys; see `given_for_participant`."""
     return _added(command, _PARTICIPANT)
 
 
-def _added(command: _settings.Command, table: Mapping[str, str]) -> _settings.Command:
+def _added(
+    command: _settings.Command, table: Mapping[str, str], *, several: bool = False
+) -> _settings.Command:
+    more = "; PROFILE=URI if there are several sets" if several else ""
     for name, what in reversed(list(table.items())):
         add: Callable[[_settings.Command], _settings.Command] = click.option(
             f"--{name.replace('_', '-')}",
             metavar="URI",
+            multiple=several,
             expose_value=False,
             callback=_remember,
-            help=f"Keep {what} in this place: pkcs11:token=LABEL;object=LABEL",
+            help=f"Keep {what} in this place: pkcs11:token=LABEL;object=LABEL{more}",
         )
         command = add(command)
     return command
@@ -59,13 +68,47 @@ def _added(command: _settings.Command, table: Mapping[str, str]) -> _settings.Co
 
 def given() -> Uris:
     """The URIs on the command line, by the names of the keys' files."""
+    return _said(_CA, _ca_files())
+
+
+def given_for_sets(profiles: Sequence["Profile"]) -> Uris:
+    """The URIs on the command line, by the names of `ca_key_places`.
+
+    UsageError for one that does not say for which of several sets it is, or twice for one key.
+    """
     from pqsec_pki.keystore import layout  # noqa: PLC0415 -- not for --help
 
-    files = (
+    names = {each.name: each.name for each in profiles} | {profiles[0].name: layout.FIRST}
+    found: dict[str, str] = {}
+    for file, texts in _said(_CA, _ca_files()).items():
+        for text in texts:
+            profile, mark, uri = text.partition("=")
+            if not (mark and profile in names):
+                profile, uri = profiles[0].name, text
+                _refuse_unclear(profiles, text)
+            place = layout.in_set(names[profile], file)
+            if place in found:
+                raise UsageError(f"{place}: there are two places for one key")
+            found[place] = uri
+    return found
+
+
+def _refuse_unclear(profiles: Sequence["Profile"], text: str) -> None:
+    if len(profiles) > 1:
+        names = ", ".join(each.name for each in profiles)
+        raise UsageError(
+            f"{text} does not say for which set it is: {names}",
+            hint=f"put the profile before it: {profiles[-1].name}={text}",
+        )
+
+
+def _ca_files() -> tuple[str, ...]:
+    from pqsec_pki.keystore import layout  # noqa: PLC0415 -- not for --help
+
+    return (
         *(layout.IDENTITY_KEY, layout.IDENTITY_ALT_KEY),
         *(layout.PERMISSIONS_KEY, layout.PERMISSIONS_ALT_KEY),
     )
-    return _said(_CA, files)
 
 
 def given_for_participant() -> Uris:
@@ -75,24 +118,22 @@ def given_for_participant() -> Uris:
     return _said(_PARTICIPANT, KEYS)
 
 
-def _said(table: Iterable[str], files: Iterable[str]) -> Uris:
+def _said(table: Iterable[str], files: Iterable[str]) -> dict[str, Any]:
     found = click.get_current_context().meta.get(__name__, {})
     return {file: found[name] for name, file in zip(table, files, strict=True) if name in found}
 
 
 @contextmanager
 def keys(
-    profile: "Profile", uris: Uris, wanted: Iterable[str]
+    algorithms: Mapping[str, "SignatureAlgorithm"], uris: Uris
 ) -> Iterator[dict[str, "PrivateKey"]]:
-    """The keys with the URIs, found or made, for new CAs of `profile` with the files `wanted`.
+    """The keys with the URIs, found or made, for new CAs with keys in files of these names.
 
     UsageError for a key that those CAs do not have; other errors as of `made_keys`.
     """
-    from pqsec_pki.keystore import key_algorithms  # noqa: PLC0415 -- not for --help
     from pqsec_pki.tokens import made_keys  # noqa: PLC0415 -- not for --help
 
     outside = {name: uri for name, uri in uris.items() if uri != IN_FILE}
-    algorithms = {name: key_algorithms(profile)[name] for name in wanted}
     if surplus := [uri for name, uri in outside.items() if name not in algorithms]:
         raise UsageError(f"no new CA has such a key here: {', '.join(surplus)}")
     pairs = {name: (uri, algorithms[name]) for name, uri in outside.items()}

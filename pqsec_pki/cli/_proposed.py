@@ -25,7 +25,13 @@ from pqsec_pki.domain import KINDS, CommandReview, Desired, read_domain, rights_
 from pqsec_pki.enrolment import MAX_ARCHIVE, SignRequest, name_asked_for
 from pqsec_pki.errors import UsageError, shown
 from pqsec_pki.keystore import GROUP, Keystore, key_hashes
-from pqsec_pki.lifecycle import ParticipantSpec, addable, changed_protection, revocable
+from pqsec_pki.lifecycle import (
+    ParticipantSpec,
+    addable,
+    changed_protection,
+    removable_set,
+    revocable,
+)
 
 _ANY = "/NAME"
 _AT_APPLY = ("passphrase_file", "no_passphrase")
@@ -135,14 +141,8 @@ def _rights(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterato
             for each in revocable(keystore, chosen, files, superseded=only, now=now):
                 until = said(each.ends)
                 yield _change(each.name, f"revoked: serial number {each.serial}, until {until}")
-        case "ca rotate":
-            from pqsec_pki.cli.rotate import steps_of  # noqa: PLC0415 -- only here
-
-            steps = steps_of(keystore, params)
-            root = f"{keystore.root}/"
-            yield ChangedRights((), tuple(step.replace(root, "") for step in steps))
-        case "ca add-set":
-            yield from _added(params["profile_name"], keystore, now)
+        case "ca rotate" | "ca add-set" | "ca remove-set":
+            yield from _of_cas(name, params, keystore)
         case "issue":
             yield from _certified(each for _, each in load_requests(params["requests"]))
             domains = params["domains"]
@@ -189,6 +189,22 @@ def _of_roles(desired: Desired, labels: tuple[str, ...]) -> Iterator[ChangedRigh
         role = desired.roles[label]
         for each in _granted([role.grant(_ANY, role.domains or desired.domains, {})]):
             yield replace(each, names=(shown(f"role {label}"),))
+
+
+def _of_cas(name: str, params: Mapping[str, Any], keystore: Keystore) -> Iterator[ChangedRights]:
+    """What becomes of the CAs, or of a set of credentials."""
+    if name == "ca rotate":
+        from pqsec_pki.cli.rotate import steps_of  # noqa: PLC0415 -- only here
+
+        root = f"{keystore.root}/"
+        steps = (step.replace(root, "") for step in steps_of(keystore, params))
+        yield ChangedRights((), tuple(steps))
+    elif name == "ca add-set":
+        yield from _added(params["profile_name"], keystore, _settings.now())
+    else:
+        gone = removable_set(keystore, params["profile"], now=_settings.now())
+        words = f"remove the set of credentials of profile {gone.profile}"
+        yield ChangedRights(gone.participants, (words,))
 
 
 def _members(names: Iterable[str], keystore: Keystore) -> Iterator[ChangedRights]:

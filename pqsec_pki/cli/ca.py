@@ -13,6 +13,7 @@ from pqsec_pki.cli import _completion, _help, _key_uris, _passphrases, _printing
 from pqsec_pki.cli._times import day
 from pqsec_pki.cli.add_set import add_set
 from pqsec_pki.cli.passphrase import passphrase
+from pqsec_pki.cli.remove_set import remove_set
 from pqsec_pki.cli.revoke import list_line, list_validity_option
 from pqsec_pki.cli.rotate import rotate
 from pqsec_pki.documents import DomainSet
@@ -23,7 +24,7 @@ from pqsec_pki.keystore import (
     LedgerAddress,
     Overview,
     SigningCa,
-    key_algorithms,
+    ca_key_places,
     list_delivery,
     one_set,
     overview_of,
@@ -39,6 +40,7 @@ def ca() -> None:
 
 ca.add_command(add_set)
 ca.add_command(passphrase)
+ca.add_command(remove_set)
 ca.add_command(rotate)
 
 profile_option = click.option(
@@ -128,7 +130,7 @@ class Profiles(click.Choice):  # type: ignore[type-arg] # generic in newer click
     help="Choose another key agreement.",
     shell_complete=_completion.key_agreements,
 )
-@_key_uris.options
+@_key_uris.options_of_sets
 @click.option("--name", default="", help="Start the names of the CAs with this.")
 @click.option(
     "--validity",
@@ -184,9 +186,9 @@ def init(  # noqa: PLR0913, PLR0917 -- one for each option, by name
     domain_set = DomainSet.parse(domains)
     path = _settings.keystore_path()
     Keystore.refuse_occupied(path)
-    files = [*key_algorithms(profiles[0])]
-    with _key_uris.keys(profiles[0], _key_uris.given(), files) as keys:
-        in_files = len(keys) < len(files)
+    places = ca_key_places(profiles)
+    with _key_uris.keys(places, _key_uris.given_for_sets(profiles)) as keys:
+        in_files = len(keys) < len(places)
         keystore = Keystore.create(
             path,
             *profiles,

@@ -213,7 +213,8 @@ def _apply(
     terms, uris = plan.terms, _key_uris.given()
     kept, passphrase = None, None
     refuse_keys_in_files(keystore, terms, uris)
-    if no_passphrase and plan.others:
+    stays = plan.others and keystore.has_keys_in_files(without=(plan.set_name,))
+    if no_passphrase and stays:
         raise UsageError(
             "the keys of all sets of credentials have one passphrase",
             hint="leave out --no-passphrase; `pqsec ca passphrase` changes it",
@@ -222,9 +223,10 @@ def _apply(
         without = () if plan.needs_old_cas else (plan.set_name,)
         passphrase = _passphrases.of_cas(keystore, passphrase_file, without=without)
         kept = _passphrases.unlocked(keystore, passphrase, without=without)
-    with _key_uris.keys(terms.profile, uris, terms.new_keys) as keys:
+    algorithms = {name: key_algorithms(terms.profile)[name] for name in terms.new_keys}
+    with _key_uris.keys(algorithms, uris) as keys:
         # the keys of an overlap, and of one of several sets, have the passphrase of those that stay
-        if not (terms.overlap or plan.others) and len(keys) < len(key_algorithms(terms.profile)):
+        if not (terms.overlap or stays) and len(keys) < len(key_algorithms(terms.profile)):
             passphrase = _passphrases.new(passphrase_file, none=no_passphrase)
         with keystore.hold():
             done = apply_rollover(

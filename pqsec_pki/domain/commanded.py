@@ -132,8 +132,9 @@ def _sha256(data: bytes) -> str:
 
 KINDS: Mapping[str, Covered] = {
     "revoke": Covered.REVOKE,
-    "ca rotate": Covered.ROTATE,
     "ca add-set": Covered.ROTATE,
+    "ca remove-set": Covered.ROTATE,
+    "ca rotate": Covered.ROTATE,
     "ca crl": Covered.OTHER,
     "issue": Covered.GROW,
     "permit": Covered.GROW,

@@ -74,7 +74,7 @@ from pqsec_pki._lazy import lazy_exports
 if TYPE_CHECKING:
     from pqsec_pki.keystore import layout
     from pqsec_pki.keystore._address import LedgerAddress
-    from pqsec_pki.keystore._chain import Entry, Line
+    from pqsec_pki.keystore._chain import SET_END, Entry, Line
     from pqsec_pki.keystore._entries import (
         certificate_entry,
         document_entry,
@@ -167,6 +167,7 @@ if TYPE_CHECKING:
     )
     from pqsec_pki.keystore.set_lines import SetLine
     from pqsec_pki.keystore.sets import (
+        ca_key_places,
         further,
         one_set,
         refuse_further_sets,
@@ -216,6 +217,7 @@ __all__ = [
     "PUBLIC_FILES",
     "RECEIPT",
     "SETTINGS",
+    "SET_END",
     "WAIT",
     "AcceptedCertificate",
     "Anchored",
@@ -257,6 +259,7 @@ __all__ = [
     "audit",
     "bundle_number",
     "ca_key_files",
+    "ca_key_places",
     "certificate_entry",
     "change",
     "check_pair",

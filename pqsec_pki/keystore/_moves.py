@@ -55,6 +55,8 @@ class _Moves:
     """The targets of the folders 0, 1, ..."""
     links: list[tuple[str, str]]
     removed: list[str]
+    emptied: list[str]
+    """Folders that go if nothing is left in them."""
     entries: list[Entry]
     """The ledger's new lines."""
     begins_ledger: bool
@@ -75,6 +77,7 @@ class _Moves:
                 [str(target) for target in moves["targets"]],
                 [(str(place), str(target)) for place, target in moves.get("links", [])],
                 [str(place) for place in moves.get("removed", [])],
+                [str(folder) for folder in moves.get("emptied", [])],
                 [_entry(each) for each in moves["entries"]],
                 moves.get("begins_ledger") is True,
                 moves.get("in_database") is True,
@@ -83,6 +86,7 @@ class _Moves:
         except (UsageError, ValueError, KeyError, TypeError, RecursionError):
             raise _unreadable(path) from None
         places = (*found.targets, *(place for place, _ in found.links), *found.removed)
+        places += tuple(found.emptied)
         shown = (posixpath.join(posixpath.dirname(place), to) for place, to in found.links)
         if not all(map(_is_inside, (*places, *map(posixpath.normpath, shown)))):
             raise _unreadable(path)
@@ -98,6 +102,7 @@ def write(transaction: Transaction) -> None:
         "targets": transaction.targets,
         "links": transaction.links,
         "removed": transaction.removed,
+        "emptied": transaction.emptied,
         "entries": [_VALUES(entry) for entry in transaction.entries],
         "begins_ledger": transaction.begins_ledger,
         "in_database": transaction.database is not None,
@@ -141,7 +146,7 @@ def finish(root: Folder) -> None:
     with root.below(JOURNAL) as journal:
         journal.refuse_outsiders()
         moves = _Moves.read(journal)
-        others = (*(place for place, _ in moves.links), *moves.removed)
+        others = (*(place for place, _ in moves.links), *moves.removed, *moves.emptied)
         refuse_detours(root, (*moves.targets, *map(os.path.dirname, others)))
         for number, target in enumerate(moves.targets):
             _move(journal, str(number), root, target)
@@ -149,6 +154,8 @@ def finish(root: Folder) -> None:
             _link(journal, root, place, target)
         for place in moves.removed:
             _remove(root, place)
+        for place in moves.emptied:
+            _remove_empty(root, place)
         if moves.entries and not moves.in_database:
             with root.below(layout.PRIVATE) as private:
                 _file_store.add(private, moves.entries, journal, begin=moves.begins_ledger)
@@ -228,6 +235,16 @@ def _remove(root: Folder, place: str) -> None:
     above, name = os.path.split(place)
     with suppress(FileNotFoundError), root.below(above) as folder:
         os.unlink(name, dir_fd=folder.handle)
+
+
+def _remove_empty(root: Folder, place: str) -> None:
+    above, name = os.path.split(place)
+    with suppress(FileNotFoundError), root.below(above) as folder:
+        try:
+            os.rmdir(name, dir_fd=folder.handle)
+        except OSError as error:  # what somebody else put there stays
+            if error.errno not in {errno.ENOTEMPTY, errno.EEXIST, errno.ENOENT}:
+                raise
 
 
 def _entry(values: list[str]) -> Entry:

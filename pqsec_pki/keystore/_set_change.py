@@ -37,6 +37,10 @@ class SetChange:
         """Record that the file or link at `place`, if there is one, will be removed."""
         self.transaction.remove(self._place(place))
 
+    def remove_empty(self, folder: str) -> None:
+        """Record that the folder will be removed, unless something is still in it."""
+        self.transaction.remove_empty(self._place(folder).rstrip("/"))
+
     def shred(self, place: str) -> None:
         """Overwrite the old content of the file at `place` after the change has replaced it."""
         self.transaction.shred(self._place(place))

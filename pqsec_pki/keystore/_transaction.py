@@ -79,6 +79,8 @@ class Transaction:
     links: list[tuple[str, str]] = field(default_factory=list)
     """Place of each link, and its target relative to its folder."""
     removed: list[str] = field(default_factory=list)
+    emptied: list[str] = field(default_factory=list)
+    """Folders that are removed if nothing is left in them, those inside others first."""
     entries: list[Entry] = field(default_factory=list)
     database: "PostgresLedger | None" = None
     """The ledger, if it is not in a file; no other machine adds lines meanwhile."""
@@ -147,6 +149,14 @@ class Transaction:
             raise KeystoreError(f"{self.root.path}/{place} should be a file, and is a folder")
         if kind is not None:
             self.removed.append(place)
+
+    def remove_empty(self, folder: str) -> None:
+        """Record that the folder will be removed, unless something is still in it.
+
+        Its folders come before it.
+        """
+        refuse_detours(self.root, [folder])
+        self.emptied.append(folder)
 
     def shred(self, place: str) -> None:
         """Overwrite the old content of the file at `place` after the change has replaced it."""

@@ -98,7 +98,7 @@ class Keystore:
     ) -> Self:
         """Create two CAs and a signed default governance for each profile in the folder `root`.
 
-        `keys` are the first set's CA keys that are there already, by the names of their files.
+        `keys` are CA keys that are there already, by the names of `ca_key_places`.
         The ledger begins in the database at `ledger` [default: in a file of the keystore]. With
         `gitignore`, for a keystore that a user keeps, a `.gitignore` leaves its secrets out of git.
 
@@ -318,6 +318,12 @@ class Keystore:
         """
         read = (each for each in self.sets if each.set_name not in without)
         return any(is_encrypted(data) for each in read for data in _ca_keys(each, cas).values())
+
+    def has_keys_in_files(self, *, without: Collection[str] = ()) -> bool:
+        """Whether a key of a CA, of the sets not called `without`, is in a file: under a passphrase
+        that those of all sets have."""
+        read = (each for each in self.sets if each.set_name not in without)
+        return not all(is_reference(data) for each in read for data in _ca_keys(each, ()).values())
 
     def has_key_files(self, ca: SigningCa) -> bool:
         """Whether all keys of `ca` are in files here, and not in a token or on another machine."""

@@ -10,12 +10,13 @@ from dataclasses import replace
 from datetime import datetime, timedelta
 from typing import TYPE_CHECKING
 
-from pqsec_pki.algorithms import PrivateKey, Profile
+from pqsec_pki.algorithms import PrivateKey, Profile, SignatureAlgorithm
 from pqsec_pki.errors import KeystoreError, UsageError
 from pqsec_pki.keystore import layout
 from pqsec_pki.keystore._entries import document_entry
 from pqsec_pki.keystore._set_change import SetChange
 from pqsec_pki.keystore.authorities import Authorities
+from pqsec_pki.keystore.ca_keys import key_algorithms
 
 if TYPE_CHECKING:
     from pqsec_pki.keystore.keystore import Keystore
@@ -31,23 +32,56 @@ def created(
 ) -> Authorities:
     """New CAs of each profile; those of further sets have the profile's name after `name`.
 
-    `keys` are keys of the first set that are there already. UsageError as of `Authorities.create`,
-    and for such keys if there are further sets: their files have the same names.
+    `keys` are keys that are there already, by the names of `ca_key_places`. UsageError as of
+    `Authorities.create`, and for a key that no CA has.
     """
-    if keys and len(profiles) > 1:
-        raise UsageError(
-            "keys in tokens are for a keystore with one profile",
-            hint="create it with one --profile",
-        )
+    keys = keys or {}
+    if unknown := keys.keys() - ca_key_places(profiles).keys():
+        raise UsageError(f"no CA has a key {', '.join(sorted(unknown))}")
     first, *others = profiles
-    made = [Authorities.create(first, name, now=now, validity=validity, keys=keys)]
-    made += [further(each, name, now=now, validity=validity) for each in others]
+    own = _keys_of(layout.FIRST, first, keys)
+    made = [Authorities.create(first, name, now=now, validity=validity, keys=own)]
+    for each in others:
+        own = _keys_of(each.name, each, keys)
+        made.append(further(each, name, now=now, validity=validity, keys=own))
     return together(made)
 
 
-def further(profile: Profile, name: str, *, now: datetime, validity: timedelta) -> Authorities:
-    """New CAs of a further set: a name of its own for each CA, by which issuers are found."""
-    made = Authorities.create(profile, f"{name} {profile.name}".strip(), now=now, validity=validity)
+def ca_key_places(profiles: Sequence[Profile]) -> dict[str, SignatureAlgorithm]:
+    """The names of the CAs' key files -> the algorithms of their keys, in the sets of `profiles`.
+
+    Names in further sets have the folder of their set: sets/pq/identity_ca.key.pem.
+    """
+    names = (layout.FIRST, *(each.name for each in profiles[1:]))
+    return {
+        layout.in_set(name, file): row
+        for name, profile in zip(names, profiles, strict=True)
+        for file, row in key_algorithms(profile).items()
+    }
+
+
+def _keys_of(
+    set_name: str, profile: Profile, keys: Mapping[str, PrivateKey]
+) -> dict[str, PrivateKey]:
+    """Those of one set, by the names of their files."""
+    places = {file: layout.in_set(set_name, file) for file in key_algorithms(profile)}
+    return {file: keys[place] for file, place in places.items() if place in keys}
+
+
+def further(
+    profile: Profile,
+    name: str,
+    *,
+    now: datetime,
+    validity: timedelta,
+    keys: Mapping[str, PrivateKey] | None = None,
+) -> Authorities:
+    """New CAs of a further set: a name of its own for each CA, by which issuers are found.
+
+    `keys` are as in `Authorities.create`.
+    """
+    start = f"{name} {profile.name}".strip()
+    made = Authorities.create(profile, start, now=now, validity=validity, keys=keys)
     return replace(made, set_name=profile.name)
 
 

@@ -15,6 +15,7 @@ CAs:
                   each set
     additions     which participants it would be for, and what is in its way; `_alike` issues them
                   what they have
+    removing      removes a set of credentials
     rollover      the options of replacing CAs, and the plan; `rollover_plan` makes the plan,
                   `rollover_apply` executes it, `_ca_changes` creates CAs
     passphrase    changes the passphrase of the CA keys
@@ -52,6 +53,7 @@ if TYPE_CHECKING:
         sign_changed,
     )
     from pqsec_pki.lifecycle.registering import add_registration, end_registrations
+    from pqsec_pki.lifecycle.removing import RemovedSet, removable_set, remove_set
     from pqsec_pki.lifecycle.renewing import Renewal, lasts_longer, renew
     from pqsec_pki.lifecycle.revoking import (
         LIST_VALIDITY,
@@ -95,6 +97,7 @@ __all__ = [
     "ParticipantSpec",
     "PermissionsChange",
     "PublicKeys",
+    "RemovedSet",
     "Renewal",
     "Revoked",
     "Rollover",
@@ -120,6 +123,8 @@ __all__ = [
     "move_ledger",
     "plan_rollover",
     "refuse_keys_in_files",
+    "removable_set",
+    "remove_set",
     "renew",
     "renew_list",
     "revocable",

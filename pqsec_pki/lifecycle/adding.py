@@ -36,7 +36,7 @@ from pqsec_pki.keystore import (
     together,
 )
 from pqsec_pki.lifecycle._alike import issued_alike
-from pqsec_pki.lifecycle._ca_changes import name_start, refuse_known
+from pqsec_pki.lifecycle._ca_changes import Keys, name_start, refuse_known
 from pqsec_pki.lifecycle._inspector import Inspector
 from pqsec_pki.lifecycle._issuer import Issued, Issuer
 from pqsec_pki.lifecycle.additions import chosen, governance_to_copy
@@ -67,12 +67,14 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
     name: str | None = None,
     validity: timedelta,
     passphrase: bytes | None,
+    keys: Keys = None,
     now: datetime,
 ) -> AddedSet:
     """Add a set of that profile, with new CAs and for all participants whose keys are here.
 
     The CAs are named `name` [default: as those of the first set], and the profile's name. Their
-    keys are encrypted under `passphrase`; PassphraseError without one if those of the other CAs are
+    keys are encrypted under `passphrase`, but for `keys` that are there already, by the names of
+    their files; PassphraseError without one if those of the other CAs are
     encrypted. ExistsError if there is such a set; KeystoreError while two identity CAs are trusted,
     and for a document or a subject that pqsec would write otherwise; UsageError if a CA would have
     the name of another. Other machines with this ledger refuse to work until they have the new
@@ -94,7 +96,7 @@ def add_set(  # noqa: PLR0913 -- the choices are the user's, and by name
         keystore.refuse_unapproved(Covered.ROTATE)
         for each in keystore.sets:
             refuse_overlap(each, WAIT)
-        new = further(profile, start, now=now, validity=validity)
+        new = further(profile, start, now=now, validity=validity, keys=keys)
         refuse_known(authorities, new)
         view = replace(first, profiles=(*keystore.profiles, profile), set_name=profile.name)
         cas = together([*authorities.sets, new])

@@ -31,7 +31,13 @@ VALUES = {
     "text": "141",
 }
 """What stands for an argument that is no file; files are there, and seldom the right kind."""
-CHOICES = {"ca add-set": "hybrid", "export": "cyclonedds", "schema": "domain", "try": "ros2"}
+CHOICES = {
+    "ca add-set": "hybrid",
+    "ca remove-set": "hybrid",
+    "export": "cyclonedds",
+    "schema": "domain",
+    "try": "ros2",
+}
 COMPANY = {
     "apply": "--yes --no-passphrase",
     "apply --passphrase-file": "--yes",
@@ -45,6 +51,7 @@ COMPANY = {
     "ca init --passphrase-file": "",
     "ca passphrase": "--no-passphrase",
     "ca passphrase --new-passphrase-file": "",
+    "ca remove-set": "--yes",
     "ca rotate": "--apply --yes --no-passphrase",
     "ca rotate --passphrase-file": "--apply --yes",
     "demo": "--profile classical",

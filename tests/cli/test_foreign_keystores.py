@@ -47,7 +47,8 @@ READING = {
 }
 """Commands that are given a keystore, or files of one, and change nothing: how each is run."""
 CHANGING = {
-    *("ca init", "ca add-set", "ca passphrase", "ca recover", "issue", "renew", "revoke", "permit"),
+    *("ca init", "ca add-set", "ca remove-set", "ca passphrase", "ca recover"),
+    *("issue", "renew", "revoke", "permit"),
     *("sign-governance", "sign-permissions", "sign-request sign", "receipt import"),
     *("ra add", "ra revoke", "propose", "ledger move", "adopt"),
 }

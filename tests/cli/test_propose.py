@@ -91,6 +91,26 @@ def test_a_rotation_with_the_same_profile(run):
     run("log --verify").done()
 
 
+def test_a_set_of_credentials_is_added_rotated_and_removed(run):
+    run("ca add-set hybrid").refused(3, "approvals are needed")
+    told, done = decide(run, "ca add-set hybrid")
+    assert "add a set of credentials of profile hybrid" in told.out
+    done.done()
+    for each in run.folder.glob("plan.json*"):
+        each.unlink()
+    told, done = decide(run, "ca rotate --set hybrid --apply")
+    assert "create an identity CA" in told.out
+    assert "generation 2" in done.done().out
+    for each in run.folder.glob("plan.json*"):
+        each.unlink()
+    run("ca remove-set hybrid --yes").refused(3, "approvals are needed")
+    told, done = decide(run, "ca remove-set hybrid")
+    assert "remove the set of credentials of profile hybrid" in told.out
+    done.done()
+    assert not (run.folder / "k/sets").exists()
+    run("log --verify").done()
+
+
 def test_new_cas_get_the_passphrase_of_apply(run):
     run(f"{PROPOSE} ca rotate --apply").done()
     approve(run)

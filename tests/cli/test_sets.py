@@ -448,3 +448,49 @@ def test_a_document_is_verified_by_the_ca_of_the_set_that_has_it(pqsec, k):
         "-k k verify k/enclaves/governance.p7s --set hybrid --ca k/public/permissions_ca.cert.pem"
     )
     pqsec(line).refused(2, "--ca and --set exclude each other")
+
+
+# Removing a set
+
+
+def test_a_set_is_removed_after_a_question(pqsec, k):
+    asked = pqsec("-k k ca remove-set hybrid")
+    assert asked.code == 2
+    assert "has valid certificates of /listener, /talker" in asked.out
+    assert "would be removed, and no terminal to ask" in asked.err
+    assert (k / "sets/hybrid").is_dir()
+    done = pqsec("-k k ca remove-set hybrid --yes").done()
+    assert "valid certificates of 2 participants" in done.out
+    assert not (k / "sets/hybrid").exists()
+    assert "hybrid" not in pqsec("-k k ca show").done().out
+    pqsec("-k k log --verify").done()
+    assert pqsec("-k k status").done().out.count("2 valid") == 1
+    assert pqsec("check k").code in {0, 1}
+    pqsec("-k k renew --all").done()
+
+
+def test_the_first_set_and_unknown_ones_are_not_removed(pqsec, k):
+    del k
+    line = "-k k ca remove-set"
+    pqsec(f"{line} classical --yes").refused(3, "is the first set of credentials")
+    pqsec(f"{line} pq --yes").refused(3, "it has classical, hybrid")
+
+
+@pytest.mark.parametrize(
+    "line", ["ca rotate --set hybrid --apply --yes", "ca remove-set hybrid --yes"]
+)
+def test_a_set_is_rotated_or_removed_without_its_own_keys(pqsec, k, line):
+    for key in (k / "sets/hybrid/private").glob("*.key.pem"):
+        key.write_text("damaged")
+    pqsec("-k k issue /new --publish x").refused(3, "key")
+    pqsec(f"-k k {line}").done()
+    pqsec("-k k issue /new --publish x").done()
+    pqsec("-k k log --verify").done()
+
+
+@pytest.mark.parametrize("scope", ["", "--only identity", "--only permissions"])
+def test_a_check_finds_nothing_new_after_a_rotation_of_a_set(pqsec, k, scope):
+    before = {(each["rule"], each["path"]) for each in pqsec("check k --json").json["findings"]}
+    pqsec(rotation(f"--set hybrid {scope}")).done()
+    after = {(each["rule"], each["path"]) for each in pqsec("check k --json").json["findings"]}
+    assert after == before

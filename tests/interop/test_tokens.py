@@ -275,6 +275,88 @@ def test_the_steps_of_an_overlap_use_the_token(token):
     token.pqsec("verify-handshake", "talker", "listener")
 
 
+# Several sets of credentials
+
+
+def of_set(name, text=""):
+    """The options that put the CA keys of that set into the token."""
+    uris = (f"{name}={IDENTITY}{text}", f"{name}={PERMISSIONS}{text}")
+    return ("--identity-key-uri", uris[0], "--permissions-key-uri", uris[1])
+
+
+IN_TOKEN = [("pq,classical", "sets/classical/"), ("classical,hybrid", "")]
+"""Profiles of a keystore, and the folder of the set whose CA keys are in the token."""
+
+
+def works_in_two_sets(token):
+    token.pqsec("issue", "talker", "listener", "--publish", "chatter", "--subscribe", "chatter")
+    token.pqsec("revoke", "listener", "--yes")
+    token.pqsec("renew", "talker")
+    token.pqsec("log", "--verify")
+
+
+@pytest.mark.slow(but=1)
+@pytest.mark.parametrize(("profiles", "folder"), IN_TOKEN)
+def test_the_ca_keys_of_one_of_two_sets_are_in_a_token(token, profiles, folder):
+    options = ("--profile", profiles, *of_set("classical"), "--no-passphrase")
+    token.pqsec("ca", "init", *options)
+    private = token.folder / f"k/{folder}private"
+    for name in ("identity_ca.key.pem", "permissions_ca.key.pem"):
+        assert "PRIVATE KEY" not in (private / name).read_text()
+    assert token.objects().count("Private Key Object") == 2
+    shown = token.answer("ca", "show")
+    both = [shown, *shown["further"]]
+    assert {each["profile"]: len(each["key_uris"]) for each in both}["classical"] == 2
+    assert sum(len(each["key_uris"]) for each in both) == 2
+    works_in_two_sets(token)
+
+
+def test_a_uri_says_for_which_set_it_is_and_each_key_has_its_own(token):
+    two = ("ca", "init", "--profile", "pq,classical", "--no-passphrase")
+    said = token.pqsec(*two, *BOTH, exit_code=2)
+    assert "does not say for which set it is: pq, classical" in said
+    said = token.pqsec(*two, "--identity-key-uri", f"hybrid={IDENTITY}", exit_code=2)
+    assert "does not say for which set it is" in said
+    again = ("--identity-key-uri", f"classical={IDENTITY}")
+    said = token.pqsec(*two, *again, *again, exit_code=2)
+    assert "there are two places for one key" in said
+    same = ("--permissions-key-uri", f"classical={IDENTITY}")
+    assert "one key is named twice" in token.pqsec(*two, *again, *same, exit_code=2)
+    assert not (token.folder / "k").exists()
+    assert "Private Key Object" not in token.objects()
+
+
+def test_a_set_with_ca_keys_in_a_token_is_added_rotated_and_removed(token):
+    token.pqsec("ca", "init", "--profile", "pq", "--no-passphrase")
+    token.pqsec("issue", "camera", "--publish", "image")
+    token.pqsec("ca", "add-set", "classical", *BOTH)
+    works_in_two_sets(token)
+    rotate = ("ca", "rotate", "--set", "classical", "--apply", "--yes")
+    assert "the new keys would be in files" in token.pqsec(*rotate, exit_code=2)
+    second = ("--identity-key-uri", f"{IDENTITY}-2", "--permissions-key-uri", f"{PERMISSIONS}-2")
+    token.pqsec(*rotate, *second)
+    token.pqsec("ca", "rotate", "--set", "pq", "--apply", "--yes", "--no-passphrase")
+    token.pqsec(*rotate[:4], "--overlap", "begin", "--apply", "--identity-key-uri", f"{IDENTITY}-3")
+    token.pqsec(*rotate[:4], "--overlap", "switch", "--apply")
+    token.pqsec(*rotate[:4], "--overlap", "finish", "--apply", "--yes")
+    token.pqsec("log", "--verify")
+    said = token.pqsec("ca", "remove-set", "classical", "--yes")
+    assert f"{IDENTITY}-3;type=private is still there" in said
+    assert f"{PERMISSIONS}-2;type=private is still there" in said
+    token.pqsec("renew", "talker")
+
+
+def test_key_files_beside_keys_in_tokens_have_a_passphrase_unless_it_is_said(token):
+    created(token)
+    assert "need a passphrase" in token.pqsec("ca", "add-set", "pq", exit_code=2)
+    token.pqsec("ca", "add-set", "pq", "--no-passphrase")
+    said = token.pqsec("ca", "rotate", "--set", "pq", "--apply", "--yes", exit_code=2)
+    assert "need a passphrase" in said
+    token.pqsec("ca", "rotate", "--set", "pq", "--apply", "--yes", "--no-passphrase")
+    said = token.pqsec("ca", "add-set", "hybrid", "--no-passphrase", exit_code=2)
+    assert "have one passphrase" in said
+
+
 def test_inspect_says_which_key_a_file_refers_to(token):
     created(token)
     [found] = token.answer("inspect", "k/private/identity_ca.key.pem")["files"]

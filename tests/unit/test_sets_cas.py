@@ -384,7 +384,9 @@ BEFORE = {switch_overlap: (begin_overlap,), finish_overlap: (begin_overlap, swit
 @pytest.mark.parametrize("trial", [survives, fails], ids=["killed", "disk refuses"])
 @pytest.mark.parametrize("number", [0, 1])
 @pytest.mark.parametrize(
-    "step", [None, begin_overlap, switch_overlap, finish_overlap], ids=lambda each: str(each)[:20]
+    "step",
+    [None, begin_overlap, switch_overlap, finish_overlap],
+    ids=["at once", "begin", "switch", "finish"],
 )
 def test_a_rotation_of_one_set_is_done_or_not(tmp_path, place, trial, number, step):
     made = create(tmp_path / "k", CLASSICAL, HYBRID)
