@@ -154,10 +154,13 @@ class ListDelivery:
     @property
     def _copies(self) -> list[str]:
         """The commands that copy the list of each set."""
-        copy = f"pqsec -k {shlex.quote(str(self.keystore))} ca crl --show --force"
+        keystore = f"pqsec -k {shlex.quote(str(self.keystore))}"
         if not self.profiles[1:]:
-            return [f"{copy} -o crl.pem"]
-        return [f"{copy} --set {each} -o {each}.crl.pem" for each in self.profiles]
+            return [f"{keystore} ca crl --show --force -o crl.pem"]
+        return [
+            f"{keystore} ca crl --show --set {each} --force -o {each}.crl.pem"
+            for each in self.profiles
+        ]
 
     def _ways(self) -> Iterator[str]:
         count = Counter(each.way for each in self.late)

@@ -48,7 +48,7 @@ def domain(pqsec, keystore):
 def test_commands_and_options_are_offered(offered):
     assert offered("") == list(COMMANDS)
     assert offered("verify") == ["verify", "verify-handshake"]
-    assert offered("ca r") == ["recover", "rotate"]
+    assert offered("ca r") == ["recover", "remove-set", "rotate"]
     assert offered("--ver") == ["--version"]
     assert offered("renew --re") == ["--rekey", "--reuse-compromised-key"]
     assert offered("no-such-command x") == []

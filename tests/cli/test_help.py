@@ -340,6 +340,7 @@ NO = {
 }
 """Command -> arguments for which the answer is no."""
 NEVER_NO = {
+    "ca remove-set": "needs a terminal where the answer is no",
     "demo": "the handshake of a new domain succeeds",
     "enrol": "needs a server that refuses: tests/cli/test_network.py",
     "migrate plan": "needs permissions that fill a message: tests/cli/test_migrate.py",

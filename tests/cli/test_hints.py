@@ -36,6 +36,7 @@ JUSTIFIED = {
     " `pqsec ca recover` gets it.": "what is there is older than what was issued",
     "* bundle *--outdated --no-keys --bundles bundles --force": NEWEST,
     "* ca crl --show --force -o crl.pem": NEWEST,
+    "* ca crl --show --set * --force -o *.crl.pem": NEWEST,
     "Delete its enclave. To allow it again, run `pqsec issue` with --force"
     " --after-revocation.": IF_WANTED,
     "issue it again: pqsec issue --force, with its topics or a --policy": SAYS_WHAT,

@@ -52,7 +52,12 @@ def test_without_output_the_document_is_printed(pqsec, tmp_path, kind):
     assert (tmp_path / "other.yaml").read_text() == printed
     rendered = pqsec(f"{kind} render new.yaml").done().out
     assert KINDS[kind].from_xml(rendered.encode())
-    assert pqsec(f"{kind} render new.yaml --json").done().json["document"] + "" == rendered
+    again = pqsec(f"{kind} render new.yaml --json").done().json["document"]
+    assert without_times(again) == without_times(rendered)  # a new policy begins when it is read
+
+
+def without_times(document):
+    return re.sub(r"(?<=<not_)(before|after)>[^<]*", r"\1>", document)
 
 
 @pytest.mark.parametrize("preset", PRESET_NAMES)

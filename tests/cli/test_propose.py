@@ -94,7 +94,7 @@ def test_a_rotation_with_the_same_profile(run):
 def test_a_set_of_credentials_is_added_rotated_and_removed(run):
     run("ca add-set hybrid").refused(3, "approvals are needed")
     told, done = decide(run, "ca add-set hybrid")
-    assert "add a set of credentials of profile hybrid" in told.out
+    assert "new CAs of a set of profile hybrid" in told.out
     done.done()
     for each in run.folder.glob("plan.json*"):
         each.unlink()

@@ -359,7 +359,7 @@ def test_the_documents_the_flaws_are_made_from_have_none(text, target, tmp_path)
 
 
 def test_every_rule_of_these_families_has_its_flawed_document():
-    frame = {f"PQS00{number}" for number in range(1, 10)}
+    frame = {f"PQS{number:03}" for number in range(1, 11)}
     ours = {rule.id for rule in RULES.values() if rule.family in {"frame", "documents", "naming"}}
     elsewhere = frame | {"PQS401", "PQS402", "PQS431", "PQS432"}  # test_lint_naming, test_lint
     assert set(FLAWED) == ours - elsewhere

@@ -452,7 +452,7 @@ def codes_of(ask):
 def installing(files, keystore, now):
     """On a robot that trusts just these CAs: what is refused is refused for what it is."""
     folder = keystore.root.parent
-    bundle = Bundle(now, {NAME: files})
+    bundle = Bundle(now, {NAME: files}, profile=keystore.profile.name)
 
     def ask():
         (folder / "bundle").write_bytes(bundle.to_bytes())
